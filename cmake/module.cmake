@@ -13,6 +13,10 @@ if(CMAKE_CXX_COMPILER_ID STREQUAL GNU)
   list(APPEND penumbra_warnings -Wno-maybe-uninitialized -Wno-restrict -Wno-stringop-overflow
        -Wno-array-bounds -Wno-stringop-overread)
 endif()
+if(CMAKE_UNITY_BUILD)
+  # What a file has for itself is in no header, though it is compiled as one with others.
+  list(APPEND penumbra_warnings $<$<CXX_COMPILER_ID:GNU>:-Wno-subobject-linkage>)
+endif()
 target_compile_options(penumbra_options INTERFACE "$<BUILD_INTERFACE:${penumbra_warnings}>")
 # Programs include <penumbra/...>, and so do installed headers (install.cmake).
 target_include_directories(penumbra_options INTERFACE
@@ -51,10 +55,23 @@ if(PENUMBRA_TESTS)
   target_precompile_headers(penumbra_test_pch PRIVATE <gtest/gtest.h> <gmock/gmock.h>)
 endif()
 
+# Several files are compiled as one (CMAKE_UNITY_BUILD), but for kernels: Highway compiles those for
+# each instruction set by including them again.
+set(CMAKE_UNITY_BUILD_BATCH_SIZE 8)
+function(penumbra_keep_apart)
+  foreach(file IN LISTS ARGN)
+    file(STRINGS ${file} kernel REGEX "hwy/foreach_target.h")
+    if(kernel)
+      set_source_files_properties(${file} PROPERTIES SKIP_UNITY_BUILD_INCLUSION ON)
+    endif()
+  endforeach()
+endfunction()
+
 # penumbra_module(NAME SOURCES ... PUBLIC ... PRIVATE ... [INTERNAL [QUICK]]): one folder, one library
 # penumbra::NAME. It is installed unless it is INTERNAL; QUICK is built as programs are.
 function(penumbra_module name)
   cmake_parse_arguments(ARG "INTERNAL;QUICK" "" "SOURCES;PUBLIC;PRIVATE" ${ARGN})
+  penumbra_keep_apart(${ARG_SOURCES})
   add_library(penumbra_${name} STATIC ${ARG_SOURCES})
   add_library(penumbra::${name} ALIAS penumbra_${name})
   # Position independent: the archives may go into somebody's shared library.

@@ -111,14 +111,14 @@ class ChannelEquations {
         a_(std::ssize(surface.regions), lights_ + (surface.albedo ? 0 : 1)),
         b_(std::ssize(surface.regions)) {
     // Errors count relative to what is seen; what things send into a shadow is known less well.
-    constexpr double kDark = .1;
+    constexpr double kDarkest = .1;
     double brightest = 1e-30;
     for (const ShadowRegion& region : surface.regions)
       brightest = std::max(brightest, double(region.radiance[channel]));
     for (std::ptrdiff_t g = 0; g < a_.rows(); ++g) {
       const ShadowRegion& region = surface.regions[static_cast<std::size_t>(g)];
       const double radiance = double(region.radiance[channel]),
-                   weight = brightest / std::max(radiance, kDark * brightest);
+                   weight = brightest / std::max(radiance, kDarkest * brightest);
       for (std::ptrdiff_t k = 0; k < lights_; ++k)
         a_(g, k) = weight * groups[static_cast<std::size_t>(k)].part(region, channel);
       b_(g) = -weight * (double(region.others[channel]) * others + double(region.beside[channel]));

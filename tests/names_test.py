@@ -47,7 +47,7 @@ BAKE = "tools/penumbra/command_bake.cpp: print_json("
 MERGE = "tools/penumbra/command_hdr.cpp: print_json("
 ENVIRONMENT = "tools/penumbra/command_environment.cpp"
 CLIP, SENSOR = "tools/penumbra/command_bake_clip.cpp", "tools/chart/command_chart_sensor.cpp"
-CHART = "tools/chart/chart_plot.cpp: row_of("
+CHART = "tools/chart/chart_plot.cpp: chart_row("
 TABLES = {
     "scene.md": {
         "The file": [f"{SCENE}: read_scene( > known[]"],
@@ -94,7 +94,7 @@ TABLES = {
         "bake": [BAKE, CLIP + ': print_json({{"clip" - ' + BAKE],
         "hdr merge and hdr environment": [f"{MERGE} + {ENVIRONMENT}: print_json("],
         "light estimate": ["tools/penumbra/command_light.cpp: if (o.json) - lights residual"],
-        "chart": [CHART, f"{SENSOR}: row_of("],
+        "chart": [CHART, f"{SENSOR}: sensor_row("],
         "compare": ["tools/chart/command_compare.cpp: print_json("]},
 }
 # Names that stand somewhere below a heading, in rows on what holds them or in prose.
@@ -309,7 +309,7 @@ void read_lamp() {
 std::string print() {
   return fmt::format("top = 1\n[sure]\nrms = {}\n", 1) + "turn  = [{}]\n";
 }
-Json row_of(const Point& p) {
+Json chart_row(const Point& p) {
   Json out = {{"time", p.time}, {"size",
                                  {{"width", 1}}}};
   out["late"] = "name";
@@ -342,7 +342,7 @@ MADE_UP_TABLES = {"r.md": {
     "The file": ["a.cpp: read( > known[]"],
     "Things": ["a.cpp: kThingKeys", "a.cpp: read_lamp( > known + a.cpp: print( > [] + "
                "a.cpp: print( > [sure] - turn"]},
-    "json.md": {"Output": ["a.cpp: row_of( - width"]}}
+    "json.md": {"Output": ["a.cpp: chart_row( - width"]}}
 
 
 def names_with(old="", new="", code=MADE_UP_CODE):
@@ -354,11 +354,11 @@ def names_with(old="", new="", code=MADE_UP_CODE):
 
 def mentioned_with(old="", new=""):
     pages = {"json.md": MADE_UP_PAGES["json.md"].replace(old, new)}
-    return unmentioned({"a.cpp": MADE_UP_CODE}, pages, {"json.md": {"Output": "a.cpp: row_of("}})
+    return unmentioned({"a.cpp": MADE_UP_CODE}, pages, {"json.md": {"Output": "a.cpp: chart_row("}})
 
 
 def columns_of(header):
-    row = 'Json row_of(Point p) {\n  return {{"a", p.a}, {"lights", 1}, {"memory_bytes", 2}};\n}\n'
+    row = 'Json chart_row(Point p) {\n  return {{"a", p.a}, {"lights", 1}, {"memory_bytes", 2}};\n}\n'
     return wrong_columns(header, {"tools/chart/chart_plot.cpp": row})
 
 
@@ -379,7 +379,7 @@ def wrong_made_up_names():
         names_with("| `lamp` | table |\n", "| `lamp` | table |\n\n| key |\n|---|\n| `lamp` |\n"),
         names_with("## The file\n", "## Other\n| key |\n\n## The file\n"),
         names_with(code=MADE_UP_CODE + 'constexpr std::string_view kNewKeys[] = {"name"};'),
-        names_with(code=MADE_UP_CODE.replace("row_of(", "rows(")),
+        names_with(code=MADE_UP_CODE.replace("chart_row(", "rows(")),
         mentioned_with("`width`", "width"),
         columns_of("a,memory_bytes,lights"), columns_of("a,lights"), columns_of("a,discs"),
     ]

@@ -2,8 +2,10 @@
 """Names and counts the tests that were skipped; fails when one was skipped for an unexpected reason.
 
 usage: skips.py EXPECTED_SKIPS CTEST_OUTPUT LAST_TEST_LOG SHARED_DATA_FOLDER
+       skips.py EXPECTED_SKIPS GTEST_OUTPUT SHARED_DATA_FOLDER
 
-CTest's output tells which tests were skipped, its log why. Expected reasons that end in "without the
+CTest's output tells which tests were skipped, its log why; a GoogleTest program's own brief output
+tells the source line and why. Expected reasons that end in "without the
 shared data" count only where that folder is absent.
 """
 import re
@@ -14,7 +16,7 @@ from pathlib import Path
 SKIPPED = re.compile(r"Test\s+#\d+: (\S+) \.*\s*\*\*\*Skipped")
 TEST = re.compile(r"^\d+/\d+ Test: (.+)$", re.MULTILINE)
 # What GoogleTest prints: "FILE:LINE: Skipped" and the reason on the next line.
-GTEST = re.compile(r"^\S+:\d+: Skipped\n(.*)$", re.MULTILINE)
+GTEST = re.compile(r"^(?P<where>\S+:\d+): Skipped\n(?P<why>.*)$", re.MULTILINE)
 # What the Python tests and scripts print, a line for each reason.
 SCRIPT = re.compile(r"^skipped: .*$", re.MULTILINE)
 
@@ -27,7 +29,7 @@ def reasons(log):
         block = log[start.end():end.start() if end else len(log)]
         output = block.split("Output:", 1)[-1]
         if reason := GTEST.search(output):
-            found[start[1]] = [reason[1].strip()]
+            found[start[1]] = [reason["why"].strip()]
         elif several := SCRIPT.findall(output):
             found[start[1]] = list(dict.fromkeys(several))
     return found
@@ -38,6 +40,11 @@ def skipped(printed, log):
     why = reasons(log)
     return [(test, reason) for test in SKIPPED.findall(printed)
             for reason in why.get(test, ["no reason given"])]
+
+
+def skipped_in_program(printed):
+    """(source line, reason) of each that a GoogleTest program skipped."""
+    return [(match["where"], match["why"].strip()) for match in GTEST.finditer(printed)]
 
 
 def expected(text, with_shared_data):
@@ -58,18 +65,22 @@ def self_test():
     if skipped(printed, log) != [("A.B", "no such thing"), ("vm.x", "skipped: no kernel in x"),
                                  ("vm.x", "skipped: no data")]:
         return f"self-test: does not see a skipped test: {skipped(printed, log)}"
+    brief = "[==========] 2 tests\nx.cpp:3: Skipped\nno such thing\n\n[  PASSED  ] 1 test.\n"
+    if skipped_in_program(brief) != [("x.cpp:3", "no such thing")]:
+        return f"self-test: does not see a skip in a program: {skipped_in_program(brief)}"
     known = "a reason : without the shared data; x\n"
     if list(expected(known, True)) or not list(expected(known, False)):
         return "self-test: does not tell when a reason counts"
     return None
 
 
-def main(list_file, printed, log, shared):
+def main(list_file, *outputs, shared):
     if fault := self_test():
         print(fault, file=sys.stderr)
         return 1
     allowed = list(expected(Path(list_file).read_text(encoding="utf-8"), Path(shared).is_dir()))
-    found = skipped(*(Path(f).read_text(encoding="utf-8", errors="replace") for f in (printed, log)))
+    read = [Path(f).read_text(encoding="utf-8", errors="replace") for f in outputs]
+    found = skipped(*read) if len(read) == 2 else skipped_in_program(*read)
     for reason, count in Counter(reason for _, reason in found).most_common():
         print(f"skipped {count}: {reason}")
     wrong = [(test, reason) for test, reason in found if not any(p.search(reason) for p in allowed)]
@@ -79,6 +90,6 @@ def main(list_file, printed, log, shared):
 
 
 if __name__ == "__main__":
-    if len(sys.argv) != 5:
+    if len(sys.argv) not in (4, 5):
         sys.exit(__doc__)
-    sys.exit(main(*sys.argv[1:]))
+    sys.exit(main(*sys.argv[1:-1], shared=sys.argv[-1]))

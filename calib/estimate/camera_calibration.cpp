@@ -272,7 +272,7 @@ class Solver {
 
 // ------------------------------------------------------------------------------- the whole
 
-std::unexpected<Error> undetermined(std::string detail) {
+std::unexpected<Error> lens_undetermined(std::string detail) {
   return fail(ErrorCode::kUndetermined, "camera calibration", std::move(detail));
 }
 
@@ -325,7 +325,7 @@ Result<void> check_focal(const LensFit& fit) {
   const double worst = std::max(fit.sigma(0) / fit.intrinsics[0], fit.sigma(1) / fit.intrinsics[1]);
   constexpr double kMaxSigma = .02;
   if (worst > kMaxSigma)
-    return undetermined(fmt::format(
+    return lens_undetermined(fmt::format(
         "the focal length is uncertain by {:.1f} %: add pictures of the board tilted by "
         "30 to 45 degrees, to each side",
         100 * worst));
@@ -336,7 +336,7 @@ Result<void> check_focal(const LensFit& fit) {
 Result<void> check_double_sphere(const LensFit& fit) {
   constexpr double kMaxSigma = .05;
   if (fit.sigma(kShared) <= kMaxSigma) return {};
-  return undetermined(
+  return lens_undetermined(
       fmt::format("xi is uncertain by {:.2f}, since xi and alpha can only be told apart far from "
                   "the axis: bring the board to the borders, or calibrate as kb4",
                   fit.sigma(kShared)));
@@ -345,7 +345,7 @@ Result<void> check_double_sphere(const LensFit& fit) {
 Result<void> check_reach(const CameraCalibration& c, bool distorted) {
   constexpr double kMinReach = .4;
   if (distorted && c.reach < kMinReach)
-    return undetermined(
+    return lens_undetermined(
         fmt::format("no corner of the board lies beyond {:.0f} % of the way to the picture's "
                     "corners, so the lens stays unknown there: bring the board to the borders",
                     100 * c.reach));
@@ -405,10 +405,11 @@ Result<CameraCalibration> fit_lens(std::span<const BoardView> views, const Camer
   };
   for (int pass = 0; pass < 3; ++pass) {
     if (static_cast<std::size_t>(std::ranges::count(used, true)) < kMinBoards)
-      return undetermined(
+      return lens_undetermined(
           "fewer than 3 pictures of the board agree with each other: keep the board flat and "
           "still");
-    if (!solver.solve(1, used)) return undetermined("the least-squares solution does not converge");
+    if (!solver.solve(1, used))
+      return lens_undetermined("the least-squares solution does not converge");
     measure();
     if (pass < 2) leave_out(out, used);
   }
@@ -418,7 +419,7 @@ Result<CameraCalibration> fit_lens(std::span<const BoardView> views, const Camer
   const double freedom = 2. * static_cast<double>(all.size()) - parameters;
   const double variance = out.rms_px * out.rms_px * static_cast<double>(all.size()) / freedom;
   if (!solver.estimate_covariance(variance, used))
-    return undetermined(
+    return lens_undetermined(
         "the pictures do not determine the camera: add pictures of the board tilted by 30 to 45 "
         "degrees");
   PENUMBRA_TRY(check_focal(fit));
@@ -464,7 +465,7 @@ Result<CameraCalibration> calibrate(std::span<const BoardView> views, const Came
                                     bool undistorted) {
   const LensGuess guess = best_guess(views, start.kind, start.width, start.height);
   if (!std::isfinite(guess.cost))
-    return undetermined("no pose of the board fits this projection: is --projection right?");
+    return lens_undetermined("no pose of the board fits this projection: is --projection right?");
   constexpr double kAsGood = 1.1;  // RMS against that of all terms
   std::optional<Error> first;
   double rms_of_all = 0;
@@ -497,7 +498,7 @@ Result<CameraCalibration> calibrate_camera(std::span<const BoardView> views, Pro
     return fail(ErrorCode::kInvalid, "double-sphere", "has no undistorted form: take equidistant");
   PENUMBRA_ASSIGN(start, make_projection(kind, width, height));
   if (views.size() < kMinBoards)
-    return undetermined(
+    return lens_undetermined(
         fmt::format("the board was found in {} pictures, and at least {} are needed: take ten to "
                     "thirty, from different sides and up to the borders",
                     views.size(), kMinBoards));

@@ -44,7 +44,7 @@ constexpr std::array<const char*, 3> kChannelNames{"red", "green", "blue"};
 std::unexpected<Error> invalid(std::string detail) {
   return fail(ErrorCode::kInvalid, "bracket", std::move(detail));
 }
-std::unexpected<Error> undetermined(std::string detail) {
+std::unexpected<Error> response_undetermined(std::string detail) {
   return fail(ErrorCode::kUndetermined, "bracket", std::move(detail));
 }
 
@@ -74,7 +74,7 @@ Result<void> check_arguments(Pictures pictures, std::span<const Seconds> times) 
   const auto [shortest, longest] = std::ranges::minmax_element(times);
   // Grossberg & Nayar 2003: without a trusted ratio of exposures every power of a curve fits too.
   if (longest->count() < shortest->count() * 1.01)
-    return undetermined("all exposure times are equal");
+    return response_undetermined("all exposure times are equal");
   return {};
 }
 
@@ -161,26 +161,27 @@ std::optional<int> early_saturation(const std::array<std::size_t, kCodes>& histo
 
 Result<void> check_survey(const Survey& survey) {
   if (!survey.any_pixel)
-    return undetermined("every pixel lies outside one of the aligned pictures");
-  if (!survey.any_above_black) return undetermined("every picture is black");
-  if (!survey.any_below_clip) return undetermined("every picture is clipped");
+    return response_undetermined("every pixel lies outside one of the aligned pictures");
+  if (!survey.any_above_black) return response_undetermined("every picture is black");
+  if (!survey.any_below_clip) return response_undetermined("every picture is clipped");
   for (std::size_t c = 0; c < 3; ++c) {
     const auto& candidates = survey.candidates[c];
     if (candidates.size() < kMinSamples)
-      return undetermined(
+      return response_undetermined(
           fmt::format("the exposures do not overlap: {} sampled pixels are well exposed in two "
                       "pictures in {}, and {} are needed",
                       candidates.size(), kChannelNames[c], kMinSamples));
     const auto [low, high] = std::ranges::minmax(candidates, {}, &SquareCandidate::mean);
     if (high.mean - low.mean < 4)
-      return undetermined(
+      return response_undetermined(
           fmt::format("the scene is too even: {} is the same everywhere", kChannelNames[c]));
     if (!survey.moves[c])
-      return undetermined(fmt::format("{} does not change with the exposure", kChannelNames[c]));
+      return response_undetermined(
+          fmt::format("{} does not change with the exposure", kChannelNames[c]));
   }
   for (std::size_t c = 0; c < 3; ++c)
     if (const auto last = early_saturation(survey.histogram[c]))
-      return undetermined(fmt::format(
+      return response_undetermined(fmt::format(
           "{} saturates at code {} instead of 255: let the camera deliver the full range "
           "of codes",
           kChannelNames[c], *last));
@@ -199,7 +200,7 @@ Result<void> check_order(Pictures pictures, std::span<const Seconds> times, cons
     for (const SquareCandidate& p : survey.candidates[1]) sum += pictures[k]->at(p.x, p.y).g;
     const double mean = sum / static_cast<double>(survey.candidates[1].size());
     if (mean < previous - 1)
-      return undetermined(
+      return response_undetermined(
           fmt::format("picture {} is darker than one with a shorter exposure", k + 1));
     previous = mean;
   }
@@ -368,7 +369,7 @@ Result<std::vector<double>> solve_curve(Pictures pictures, std::span<const Secon
           rising(terms.t() * equations.matrix * terms + smoothness_of_terms(equations.total_weight),
                  terms.t() * equations.right);
       if (!exponents)
-        return undetermined(
+        return response_undetermined(
             fmt::format("the pictures do not determine the curve of {}: its equations are singular",
                         kChannelNames[static_cast<std::size_t>(channel)]));
       curve = terms * *exponents;
@@ -376,7 +377,7 @@ Result<std::vector<double>> solve_curve(Pictures pictures, std::span<const Secon
     }
     return std::vector<double>(curve.begin<double>(), curve.end<double>());
   } catch (const std::exception& e) {  // cv::Exception is one
-    return undetermined(std::string("OpenCV: ") + e.what());
+    return response_undetermined(std::string("OpenCV: ") + e.what());
   }
 }
 
@@ -462,10 +463,10 @@ Result<std::vector<float>> decode_from_curve(const std::vector<double>& log_ligh
   for (const double g : log_light) light.push_back(std::exp(g));
   light[0] = std::max(0., 2 * light[1] - light[2]);  // a logarithm cannot say 0
   if (!std::ranges::all_of(light, [](double v) { return std::isfinite(v); }))
-    return undetermined("the pictures give no finite curve");
+    return response_undetermined("the pictures give no finite curve");
   light = monotone(light);
   if (!(light[std::size_t{kLastTrusted}] > light.front()))
-    return undetermined("the pictures give no rising curve");
+    return response_undetermined("the pictures give no rising curve");
   continue_to_white(light, white);
   std::vector<float> decode;
   for (const double v : light) decode.push_back(static_cast<float>(v / light.back()));

@@ -21,7 +21,7 @@ namespace {
 constexpr std::size_t kFewestFrames = 8, kMaxFrames = 64;
 constexpr double kClip = .95;
 
-std::unexpected<Error> undetermined(std::string detail) {
+std::unexpected<Error> noise_undetermined(std::string detail) {
   return fail(ErrorCode::kUndetermined, "noise calibration", std::move(detail));
 }
 
@@ -298,8 +298,8 @@ Result<NoiseCalibration> calibrate_noise(std::span<const StillSeries> still,
   std::size_t frames = 0;
   for (const StillSeries& s : still) frames = std::max(frames, s.frames());
   if (frames < kFewestFrames)
-    return undetermined(fmt::format("has at most {} frames of one exposure, and {} are needed",
-                                    frames, kFewestFrames));
+    return noise_undetermined(fmt::format(
+        "has at most {} frames of one exposure, and {} are needed", frames, kFewestFrames));
   NoiseCalibration out;
   out.black_level = black_level;
   std::vector<std::pair<double, Dark>> darks;  // gain
@@ -319,7 +319,7 @@ Result<NoiseCalibration> calibrate_noise(std::span<const StillSeries> still,
   for (const auto& [gain, dark] : darks)
     if (dark.variance > 0) out.points.push_back({0, gain, dark.variance, dark.samples});
   if (out.points.size() < 3)
-    return undetermined(
+    return noise_undetermined(
         "the noise hardly exceeds the quantisation of the codes: raise the gain, or take raw "
         "frames");
   const auto fit = fit_model(out.points, out.black_measured);
@@ -327,10 +327,10 @@ Result<NoiseCalibration> calibrate_noise(std::span<const StillSeries> still,
   const std::string more =
       "show it everything from dark to bright, at two exposures four stops apart";
   if (!fit || !(fit->a > 0) || brightest.signal < 8 * dimmest.signal)
-    return undetermined("everything in the scene has about one brightness: " + more);
+    return noise_undetermined("everything in the scene has about one brightness: " + more);
   if (std::sqrt(fit->var_a) > kMaxUncertain * fit->a)
-    return undetermined(fmt::format("the full well stays uncertain by {:.0f} %: {}",
-                                    100 * std::sqrt(fit->var_a) / fit->a, more));
+    return noise_undetermined(fmt::format("the full well stays uncertain by {:.0f} %: {}",
+                                          100 * std::sqrt(fit->var_a) / fit->a, more));
   out.model.full_well_electrons = 1 / fit->a;
   out.full_well_sigma = std::sqrt(fit->var_a) / (fit->a * fit->a);
   out.model.read_noise = std::sqrt(std::max(0., fit->b));

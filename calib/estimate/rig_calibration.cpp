@@ -148,10 +148,6 @@ struct Tracked {
   }
 };
 
-std::unexpected<Error> undetermined(std::string detail) {
-  return fail(ErrorCode::kUndetermined, "rig calibration", std::move(detail));
-}
-
 // Focal lengths, principal point and, where they count, all terms of the distortion.
 Result<void> check_lens_covariance(const RigCameraInput& camera) {
   const std::vector<double>& v = camera.lens_covariance;
@@ -213,7 +209,7 @@ class Adjustment {
     for (int pass = 0; pass < kPasses; ++pass) {
       ceres::Problem problem;
       build(problem, true);
-      if (!solve(problem)) return undetermined("the least-squares solution does not converge");
+      if (!solve(problem)) return rig_undetermined("the least-squares solution does not converge");
       sigma_px_ = std::max(.01, rms());
       if (pass < kPasses - 1) leave_out();
     }
@@ -224,7 +220,7 @@ class Adjustment {
     for (std::size_t c = 0; c < cameras.size(); ++c) {
       out.cameras.push_back({pose_of(cameras_[c]), {}, {}, rms(c), boards(c)});
       if (out.cameras[c].boards == 0)
-        return undetermined(
+        return rig_undetermined(
             fmt::format("no picture of the board by {} agrees with the others", cameras[c].name));
     }
     PENUMBRA_TRY(check_fit(out));
@@ -260,7 +256,7 @@ class Adjustment {
         ceres::Problem problem;
         moved.build(problem, true);
         if (!solve(problem))
-          return undetermined(
+          return rig_undetermined(
               fmt::format("the lens of {} is too uncertain to say how sure its pose "
                           "is: calibrate it better",
                           cameras[c].name));
@@ -365,7 +361,7 @@ class Adjustment {
   Result<void> check_fit(const RigCalibration& out) const {
     constexpr double kMax_px = 2, kMaxSigmas = 3;
     if (out.rms_px > kMax_px || 3 * out.left_out.size() > observed_.size())
-      return undetermined(fmt::format(
+      return rig_undetermined(fmt::format(
           "the pictures of the board contradict each other ({:.1f} px RMS, {} of {} left out): is "
           "the size in --board right, were the frames of a moment taken at once, and are the "
           "lenses calibrated{}?",
@@ -373,7 +369,7 @@ class Adjustment {
           tracked() ? ", did the board stand still, and are the quaternions x, y, z, w" : ""));
     const double sigmas = tracked() ? tracker_misfit() : 0;
     if (sigmas > kMaxSigmas)
-      return undetermined(
+      return rig_undetermined(
           fmt::format("the tracker contradicts the cameras by {:.1f} times its stated noise: are "
                       "its metres and quaternions (x, y, z, w) and the size in --board right, and "
                       "did the board stand still?",
@@ -459,12 +455,12 @@ class Adjustment {
     covariance.GetCovarianceBlock(&offset_s_, &offset_s_, &variance);
     out.tracker_offset_sigma_s = std::sqrt(std::max(0., variance) + lens_part_of_offset_);
     if (out.tracker_offset_sigma_s > kMaxOffsetSigma && lens_part_of_offset_ > variance)
-      return undetermined(
+      return rig_undetermined(
           fmt::format("the offset between the clocks stays uncertain by {:.0f} ms: calibrate the "
                       "lenses better",
                       1000 * out.tracker_offset_sigma_s));
     if (out.tracker_offset_sigma_s > kMaxOffsetSigma)
-      return undetermined(
+      return rig_undetermined(
           fmt::format("the offset between the clocks stays uncertain by {:.0f} ms: move the rig "
                       "faster, by half a metre and 30 degrees a second",
                       1000 * out.tracker_offset_sigma_s));
@@ -491,9 +487,10 @@ class Adjustment {
     if (tracked()) wanted.emplace_back(&offset_s_, &offset_s_);
     if (wanted.empty()) return {};
     if (!covariance.Compute(wanted, &problem))
-      return undetermined(tracked() ? "the poses are not determined: turn the rig about two axes, "
-                                      "by at least 30 degrees, while it sees the board"
-                                    : "the poses are not determined: show the board closer");
+      return rig_undetermined(tracked()
+                                  ? "the poses are not determined: turn the rig about two axes, "
+                                    "by at least 30 degrees, while it sees the board"
+                                  : "the poses are not determined: show the board closer");
     if (tracked()) PENUMBRA_TRY(set_offset_sigma(covariance, out));
     for (std::size_t c = tracked() ? 0 : 1; c < cameras_.size(); ++c) {
       double block[36];
@@ -504,7 +501,7 @@ class Adjustment {
       const double place = glm::length(out.cameras[c].position_sigma_m),
                    turn = glm::length(out.cameras[c].rotation_sigma_rad);
       if (place > kMaxPosition_m || turn > kMaxTurn)
-        return undetermined(
+        return rig_undetermined(
             fmt::format("the pose of a camera stays uncertain by {:.0f} mm and {:.1f} degrees: {}",
                         1000 * place, turn * 180 / kPi,
                         by_lenses   ? "calibrate the lenses better"

@@ -14,11 +14,11 @@
 
 namespace penumbra::calib {
 
-namespace {
-
-std::unexpected<Error> undetermined(std::string detail) {
+std::unexpected<Error> rig_undetermined(std::string detail) {
   return fail(ErrorCode::kUndetermined, "rig calibration", std::move(detail));
 }
+
+namespace {
 
 // Angle-axis of a rotation, radian.
 glm::dvec3 turn_of(glm::dquat q) {
@@ -92,7 +92,7 @@ Result<std::vector<Pose>> chain_cameras(std::span<const RigCameraInput> cameras,
   std::vector<Pose> out;
   for (std::size_t c = 0; c < count; ++c) {
     if (!first_from[c])
-      return undetermined(
+      return rig_undetermined(
           fmt::format("{} never sees the board at the same moment as the others: hold it where two "
                       "cameras see it",
                       cameras[c].name));
@@ -127,11 +127,11 @@ Result<double> find_offset(const std::vector<double>& times,
       smallest = sum / static_cast<double>(count), best = offset;
   }
   if (!std::isfinite(smallest))
-    return undetermined(
+    return rig_undetermined(
         "fewer than six pairs of frames within a second of each other show the board within the "
         "tracker's times: film for longer, or use more frames (--min-interval)");
   if (std::abs(best) > options.max_offset_s - 1.5 * kStep)
-    return undetermined(
+    return rig_undetermined(
         fmt::format("the clocks differ by {} s or more, or the tracker follows another body: shift "
                     "its times closer to those of the frames",
                     options.max_offset_s));
@@ -160,7 +160,7 @@ bool turns_about_two_axes(const std::vector<Pose>& world_from_body) {
 Result<Pose> hand_eye(const std::vector<Pose>& world_from_body,
                       const std::vector<Pose>& first_from_board) {
   if (!turns_about_two_axes(world_from_body))
-    return undetermined(
+    return rig_undetermined(
         "the rig turns about one axis only: turn it about two, by at least 30 degrees, while it "
         "sees the board");
   std::vector<cv::Mat> body_r, body_t, board_r, board_t;
@@ -175,7 +175,7 @@ Result<Pose> hand_eye(const std::vector<Pose>& world_from_body,
   try {
     cv::calibrateHandEye(body_r, body_t, board_r, board_t, r, t, cv::CALIB_HAND_EYE_PARK);
   } catch (const cv::Exception& e) {
-    return undetermined(
+    return rig_undetermined(
         fmt::format("the pose of a camera on the tracked body cannot be found ({})", e.err));
   }
   glm::dmat3 rotation;
@@ -265,13 +265,13 @@ Result<void> check_tracker(std::span<const RigObservation> observations,
   constexpr std::size_t kFewest = 10;
   const auto& tracker = options.tracker;
   if (tracker.size() < kFewest)
-    return undetermined(fmt::format("the tracker has {} poses, and at least {} are needed",
-                                    tracker.size(), kFewest));
+    return rig_undetermined(fmt::format("the tracker has {} poses, and at least {} are needed",
+                                        tracker.size(), kFewest));
   if (observations.empty()) return {};
   const auto [first, last] = std::ranges::minmax(observations, {}, &RigObservation::time_s);
   const double from = tracker.front().time_s, to = tracker.back().time_s;
   if (last.time_s + options.max_offset_s < from || first.time_s - options.max_offset_s > to)
-    return undetermined(
+    return rig_undetermined(
         fmt::format("the tracker's times ({:.3f} to {:.3f} s) and the frames' ({:.3f} to {:.3f} s) "
                     "lie more than "
                     "{} s apart",
@@ -296,7 +296,7 @@ Result<RigStart> start_rig(std::span<const RigCameraInput> cameras,
       posed.push_back({&o, *pose});
   }
   if (posed.size() < kFewest)
-    return undetermined(fmt::format(
+    return rig_undetermined(fmt::format(
         "the board has a pose in {} pictures, and at least {} are needed", posed.size(), kFewest));
   std::ranges::stable_sort(posed, {}, [](const Posed& p) { return p.view->time_s; });
   RigStart out;

@@ -10,15 +10,15 @@ namespace penumbra::capture {
 
 namespace {
 
-constexpr int kPatience = 12;      // frames until a request shows, with room
-constexpr int kMaxDark = 3;        // in a row: more is another light
-constexpr int kApart_px = 16;      // between the pixels that are read
-constexpr float kClipped = .95f;   // of full scale
-constexpr float kDark = .03f;      // too dark to tell
-constexpr double kTelling = .02;   // of all samples, at least
-constexpr double kAgreeing = .8;   // of the telling ones
-constexpr double kFactor = 1.5;    // of the signal that the exposures make one expect
-constexpr float kRounding = .01f;  // of full scale
+constexpr int kMaxDelay_frames = 12;  // frames until a request shows, with room
+constexpr int kMaxDark = 3;           // in a row: more is another light
+constexpr int kApart_px = 16;         // between the pixels that are read
+constexpr float kClipped = .95f;      // of full scale
+constexpr float kDark = .03f;         // too dark to tell
+constexpr double kTelling = .02;      // of all samples, at least
+constexpr double kAgreeing = .8;      // of the telling ones
+constexpr double kFactor = 1.5;       // of the signal that the exposures make one expect
+constexpr float kRounding = .01f;     // of full scale
 
 }  // namespace
 
@@ -63,7 +63,7 @@ bool DarkerFrame::is_darker(const std::vector<float>& now,
 
 DarkerFrame::Passed DarkerFrame::pass(Frame frame, const std::optional<Exposure>& applied) {
   std::vector<float> now = sample(*frame.pixels);
-  over_ = ++passed_ >= kPatience;
+  over_ = ++passed_ >= kMaxDelay_frames;
   const bool darker = is_darker(now, applied);
   if (darker && dark_in_a_row_ < kMaxDark && !over_) {
     ++dark_in_a_row_;

@@ -13,7 +13,7 @@ namespace penumbra::capture {
 
 namespace {
 
-constexpr int kMinFrames = 8;                       // in the mean, before anything is believed
+constexpr int kMinBandFrames = 8;                   // in the mean, before anything is believed
 constexpr float kBright = .75f;                     // of full scale
 constexpr double kMedian = 1.57;                    // variance of a median over that of a mean
 constexpr double kScene = .005;                     // what a row is uncertain by beside noise
@@ -153,7 +153,7 @@ std::optional<MainsBands::Wave> MainsBands::find(const PictureHistory::Compariso
   scene_changed_ = light_changed_ = false;
   OfExposure& seen = of(compared.exposure);
   if (compared.frames == 0) seen = {compared.exposure};  // its mean begins anew
-  if (compared.frames < kMinFrames || compared.now.empty()) return std::nullopt;
+  if (compared.frames < kMinBandFrames || compared.now.empty()) return std::nullopt;
   find_rows(compared);
   if (rows_that_tell() < kMinRows) return std::nullopt;
   double mean = centre_rows(), weights = 0;
@@ -179,8 +179,8 @@ std::optional<MainsBands::Wave> MainsBands::find(const PictureHistory::Compariso
   seen.strange = varied / weights > kChange * kChange && !explained ? seen.strange + 1 : 0;
   scene_changed_ = seen.strange >= kPatience;
   const bool is_wave = seen_at_all && explained && advances_with_mains(seen, wave, compared.time);
-  seen.waves = std::clamp(seen.waves + (is_wave ? 1 : -2), 0, 2 * kMinFrames);
-  if (!is_wave || seen.waves < kMinFrames) return std::nullopt;
+  seen.waves = std::clamp(seen.waves + (is_wave ? 1 : -2), 0, 2 * kMinBandFrames);
+  if (!is_wave || seen.waves < kMinBandFrames) return std::nullopt;
   const double overtone = std::hypot(wave.amplitudes[2], wave.amplitudes[3]);
   seen.reach =
       std::max(kReachOfLate * seen.reach, wave.amplitude() + overtone + std::abs(wave.offset));

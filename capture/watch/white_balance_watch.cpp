@@ -9,7 +9,7 @@ namespace penumbra::capture {
 
 namespace {
 
-constexpr int kMinFrames = 4;          // in the mean
+constexpr int kMinBalanceFrames = 4;   // in the mean
 constexpr std::size_t kEvery = 3;      // of the cells
 constexpr std::size_t kMinCells = 40;  // that tell
 constexpr float kDark = .02f;          // of full scale: below, noise moves colours
@@ -33,7 +33,7 @@ Spread spread_of(std::vector<double>& values) {
 
 std::optional<WhiteBalanceWatch::Shift> WhiteBalanceWatch::see(
     const PictureHistory::Comparison& compared) {
-  if (compared.frames < kMinFrames) return std::nullopt;
+  if (compared.frames < kMinBalanceFrames) return std::nullopt;
   red_.clear(), green_.clear(), blue_.clear();
   for (std::size_t i = 0; i < compared.now.size(); i += kEvery) {
     const Rgb &usual = compared.usual[i], &now = compared.now[i];

@@ -170,13 +170,13 @@ void add_light_map(const Character& c, SurfaceLayout& out) {
 // Vertices from those of lower number that they share an edge with, texels from left, above, and
 // between.
 void find_neighbours(const Character& c, SurfaceLayout& out) {
-  constexpr auto kNone = SurfaceLayout::kNone;
-  out.neighbours.assign(out.points(), {kNone, kNone, kNone});
+  constexpr auto kNoPoint = SurfaceLayout::kNone;
+  out.neighbours.assign(out.points(), {kNoPoint, kNoPoint, kNoPoint});
   const auto add = [&](std::uint32_t point, std::uint32_t earlier) {
     if (earlier >= point || out.bone[earlier] != out.bone[point]) return;
     for (std::uint32_t& n : out.neighbours[point]) {
       if (n == earlier) return;
-      if (n == kNone) {
+      if (n == kNoPoint) {
         n = earlier;
         return;
       }
@@ -188,12 +188,12 @@ void find_neighbours(const Character& c, SurfaceLayout& out) {
       add(t[k], t[(k + 2) % 3]);
     }
   std::vector<std::uint32_t> at(
-      static_cast<std::size_t>(out.width) * static_cast<std::size_t>(out.height), kNone);
+      static_cast<std::size_t>(out.width) * static_cast<std::size_t>(out.height), kNoPoint);
   const auto point_at = [&](int x, int y, std::uint16_t bone) {
-    if (x < 0 || y < 0) return kNone;
+    if (x < 0 || y < 0) return kNoPoint;
     const std::uint32_t p = at[static_cast<std::size_t>(y) * static_cast<std::size_t>(out.width) +
                                static_cast<std::size_t>(x)];
-    return p != kNone && out.bone[p] == bone ? p : kNone;
+    return p != kNoPoint && out.bone[p] == bone ? p : kNoPoint;
   };
   for (std::size_t i = 0; i < out.texels.size(); ++i) {
     const auto point = static_cast<std::uint32_t>(out.vertices + i);

@@ -40,9 +40,9 @@ StreamLayout layout_of_ground(int size) {
   for (std::uint32_t y = 0; y < side; ++y)
     for (std::uint32_t x = 0; x < side; ++x) {
       const std::uint32_t p = y * side + x;
-      constexpr auto kNone = SurfaceLayout::kNone;
-      out.neighbours.push_back(
-          {x > 0 ? p - 1 : kNone, y > 0 ? p - side : kNone, x > 0 && y > 0 ? p - side - 1 : kNone});
+      constexpr auto kNoPoint = SurfaceLayout::kNone;
+      out.neighbours.push_back({x > 0 ? p - 1 : kNoPoint, y > 0 ? p - side : kNoPoint,
+                                x > 0 && y > 0 ? p - side - 1 : kNoPoint});
     }
   return out;
 }

@@ -27,7 +27,7 @@ namespace {
 // Where transfer is kept at vertices
 constexpr float kEdgeFraction = BakeSettings{}.max_edge_fraction;
 constexpr int kGroundSize = 64;  // texels of the shadow basis: renewed in every frame
-constexpr int kMaxRays = 512;
+constexpr int kMaxClipRays = 512;
 // No frame yet: every time is another
 constexpr double kNone = std::numeric_limits<double>::quiet_NaN();
 // Of live transfer: every point costs time in every frame.
@@ -120,8 +120,8 @@ prt::SequenceOptions sequence_options(const BakeSettings& settings) {
   prt::SequenceOptions o;
   o.bands = settings.bands;
   o.bounces = settings.bounces;
-  o.rays = std::min(settings.rays, kMaxRays);
-  o.ground_rays = std::min(settings.ground_rays, kMaxRays);
+  o.rays = std::min(settings.rays, kMaxClipRays);
+  o.ground_rays = std::min(settings.ground_rays, kMaxClipRays);
   return o;
 }
 

@@ -117,7 +117,6 @@ void CompositeStage::find_floor_shadows(std::size_t index, const std::vector<Pos
 CompositeStage::FloorLight CompositeStage::floor_at(const glm::vec3& point,
                                                     std::span<const FloorShadow> floor_shadows,
                                                     float local, float all) {
-  constexpr double kOnPlane_m = 1e-3;
   FloorLight out{local, 1};
   float virtual_occlusion = 0;  // by objects
   for (const FloorShadow& s : floor_shadows) {

@@ -222,7 +222,7 @@ namespace {
 
 using Rays = prt::RayWorld::Rays;
 using Hits = prt::RayWorld::Hits;
-constexpr int kPacket = prt::RayWorld::kPacket;
+constexpr int kRaysAtOnce = prt::RayWorld::kPacket;
 
 glm::vec3 direction_of(const Rays& rays, int lane) {
   return {rays.dx[lane], rays.dy[lane], rays.dz[lane]};
@@ -241,19 +241,19 @@ void IrradianceCache::gather(std::size_t point, const shadows::RayOccluders& occ
   out.clear();
   prt::RayScene::RayPacket directions;
   Rays rays;
-  std::fill_n(rays.ox, kPacket, from.x);
-  std::fill_n(rays.oy, kPacket, from.y);
-  std::fill_n(rays.oz, kPacket, from.z);
-  for (int block = 0; block < kRays / kPacket; ++block) {
+  std::fill_n(rays.ox, kRaysAtOnce, from.x);
+  std::fill_n(rays.oy, kRaysAtOnce, from.y);
+  std::fill_n(rays.oz, kRaysAtOnce, from.z);
+  for (int block = 0; block < kRays / kRaysAtOnce; ++block) {
     patterns_.cosine_block(prt::RayPatterns::turn_of(vertex), block, frame, directions);
-    std::copy_n(directions.x, kPacket, rays.dx);
-    std::copy_n(directions.y, kPacket, rays.dy);
-    std::copy_n(directions.z, kPacket, rays.dz);
+    std::copy_n(directions.x, kRaysAtOnce, rays.dx);
+    std::copy_n(directions.y, kRaysAtOnce, rays.dy);
+    std::copy_n(directions.z, kRaysAtOnce, rays.dz);
     Hits by_virtual, by_real;
     for (std::size_t k = 0; k < neighbours.size(); ++k)
       occluders.virtual_things->intersect(static_cast<int>(k), rays, by_virtual);
     occluders.real_things->intersect(0, rays, by_real);
-    for (int i = 0; i < kPacket; ++i) {
+    for (int i = 0; i < kRaysAtOnce; ++i) {
       GatherHit hit;
       hit.direction = direction_of(rays, i);
       float behind = std::numeric_limits<float>::max();

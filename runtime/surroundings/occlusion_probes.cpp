@@ -17,7 +17,6 @@ namespace {
 constexpr int kSphereRays = OcclusionProbes::kSphereRays;
 constexpr int kTries = 4;  // vertices that a direction is tried from until one is open to it
 constexpr std::size_t kGrain = 2048;  // vertices
-constexpr float kLevelRay = 1e-3f;    // a ray that falls less never meets the floor
 
 // Squared distance of two vertices: a normal turned by 60 degrees is as far as half a radius.
 class VertexDistance {

@@ -10,8 +10,6 @@ namespace penumbra::runtime {
 
 namespace {
 
-constexpr double kOnPlane_m = 1e-3;
-
 // Bilinear between nodes; 0 outside.
 float value_at(const Image<float>& nodes, double x, double y) {
   if (!(x >= 0 && y >= 0 && x < nodes.width() - 1 && y < nodes.height() - 1)) return 0;

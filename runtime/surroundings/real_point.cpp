@@ -7,8 +7,7 @@
 namespace penumbra::runtime {
 
 namespace {
-constexpr float kLevelRay = 1e-3f;  // a ray that falls less never meets a plane
-constexpr double kAligned = .99999, kOnPlane_m = 1e-3;
+constexpr double kAligned = .99999;
 
 // Distance to the first plane that a ray meets from its front; the largest float without one.
 float meet_planes(std::span<const prt::Plane> planes, const glm::vec3& from,

@@ -13,6 +13,9 @@
 
 namespace penumbra::runtime {
 
+inline constexpr float kLevelRay = 1e-3f;   // a ray that falls less never meets a plane
+inline constexpr double kOnPlane_m = 1e-3;  // what is nearer to a plane lies on it
+
 struct RealPoint {
   static constexpr std::int16_t kMesh = -1;
 

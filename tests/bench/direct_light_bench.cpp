@@ -11,17 +11,17 @@
 namespace penumbra::bench {
 namespace {
 
-struct Setup {
+struct DirectLightSetup {
   prt::Mesh mesh = prt::make_knot(.5f, 480, 80, {.6f, .6f, .6f});
   shadows::SilhouetteMesh silhouette{mesh};
   prt::RayWorld world = *prt::RayWorld::create();
   prt::Plane plane;
-  Setup() { (void)world.add(mesh); }
+  DirectLightSetup() { (void)world.add(mesh); }
   shadows::RayOccluders occluders() const { return {&world, nullptr, 3e-5f}; }
 };
 
-const Setup& setup() {
-  static const Setup one;
+const DirectLightSetup& direct_light_setup() {
+  static const DirectLightSetup one;
   return one;
 }
 
@@ -44,14 +44,14 @@ void by_radius(benchmark::internal::Benchmark* b) {
 void vertices(benchmark::State& state) {
   const Threads threads(1);
   const double radius = static_cast<double>(state.range(0)) / 100;
-  const shadows::Caster caster{&setup().mesh, &setup().silhouette, {}};
-  std::vector<float> out(setup().mesh.positions.size());
+  const shadows::Caster caster{&direct_light_setup().mesh, &direct_light_setup().silhouette, {}};
+  std::vector<float> out(direct_light_setup().mesh.positions.size());
   int step = 0;
   const shadows::SilhouetteMesh none{prt::Mesh{}};  // nobody shares rays
-  const shadows::Caster alone{&setup().mesh, &none, {}};
+  const shadows::Caster alone{&direct_light_setup().mesh, &none, {}};
   const auto trace = [&](const shadows::Caster& object, int samples) {
-    shadows::trace_direct_light(setup().occluders(), {{&object, 1}, {}, 3e-5f}, object,
-                                &setup().plane, source(radius, step++), samples, out);
+    shadows::trace_direct_light(direct_light_setup().occluders(), {{&object, 1}, {}, 3e-5f}, object,
+                                &direct_light_setup().plane, source(radius, step++), samples, out);
   };
   compare(
       state, [&] { trace(caster, 4); }, [&] { trace(alone, 16); });
@@ -61,14 +61,14 @@ BENCHMARK(vertices)->Name("shadows/distant_light_on_the_knot_vs_16_rays_each")->
 void floor_map(benchmark::State& state) {
   const Threads threads(1);
   const double radius = static_cast<double>(state.range(0)) / 100;
-  const shadows::Caster caster{&setup().mesh, &setup().silhouette, {}};
+  const shadows::Caster caster{&direct_light_setup().mesh, &direct_light_setup().silhouette, {}};
   std::vector<shadows::ShadowMap> maps(1);
   int step = 0;
   prt::Mesh nodes;  // no triangles: each for itself
   shadows::DirectLightAtVertices dense;
   const auto trace = [&] {
-    shadows::render_shadow_maps({{&caster, 1}, {}, 3e-5f}, setup().plane, source(radius, step++),
-                                {}, maps);
+    shadows::render_shadow_maps({{&caster, 1}, {}, 3e-5f}, direct_light_setup().plane,
+                                source(radius, step++), {}, maps);
   };
   trace();
   const shadows::ShadowMap& shadow = maps[0];
@@ -78,8 +78,8 @@ void floor_map(benchmark::State& state) {
                                    glm::dvec3(x * shadow.cell_m, 0., y * shadow.cell_m));
   nodes.normals.assign(nodes.positions.size(), {0, 1, 0});
   compare(state, trace, [&] {
-    shadows::trace_direct_light_at_vertices(setup().occluders(), nodes, source(radius, step), 16,
-                                            dense);
+    shadows::trace_direct_light_at_vertices(direct_light_setup().occluders(), nodes,
+                                            source(radius, step), 16, dense);
   });
 }
 BENCHMARK(floor_map)->Name("shadows/shadow_map_vs_16_rays_a_node")->Apply(by_radius);

@@ -14,12 +14,12 @@ namespace {
 
 using runtime::CompositeStage;
 
-struct Setup {
+struct UpdateSetup {
   runtime::PreparedScene scene;
   std::vector<capture::CameraInfo> cameras{1};
   lighting::LightEstimate light;
 
-  Setup() {
+  UpdateSetup() {
     runtime::SceneObject object;
     object.name = "knot", object.asset = "builtin:knot", object.place_on_floor = true;
     runtime::RealGeometry floor;
@@ -46,8 +46,8 @@ struct Setup {
     return made ? std::move(*made) : nullptr;
   }
 };
-const Setup& setup() {
-  static const Setup one;
+const UpdateSetup& update_setup() {
+  static const UpdateSetup one;
   return one;
 }
 
@@ -75,7 +75,7 @@ double radius_of(Source source) {
 
 // The sky's sun as it is, or as a lamp; for each update as far as it moves.
 lighting::LightEstimate light_of(Source source) {
-  lighting::LightEstimate out = setup().light;
+  lighting::LightEstimate out = update_setup().light;
   if (source == kStands || source == kSun) return out;
   lighting::DistantLight& lamp = out.lights[0];
   const double before = lamp.solid_angle_sr();
@@ -98,7 +98,7 @@ void light_update(benchmark::State& state) {
   const auto source = static_cast<Source>(state.range(1));
   const double step = source == kSun ? .01 : .05;  // radians
   StageTimes times;
-  const auto stage = setup().stage(times);
+  const auto stage = update_setup().stage(times);
   if (!stage) return state.SkipWithError("no OpenGL ES 3.1");
   const lighting::LightEstimate start = light_of(source);
   lighting::LightEstimate light = start;
@@ -134,11 +134,11 @@ BENCHMARK(light_update)
 void composite_frame(benchmark::State& state) {
   const Threads threads(static_cast<int>(state.range(0)));
   StageTimes times;
-  const auto stage = setup().stage(times, state.range(1) != 0);
+  const auto stage = update_setup().stage(times, state.range(1) != 0);
   if (!stage) return state.SkipWithError("no OpenGL ES 3.1");
   capture::Frame frame;
   frame.exposure = {Seconds(1), Gain(1)};
-  frame.world_from_camera = setup().cameras[0].world_from_camera;
+  frame.world_from_camera = update_setup().cameras[0].world_from_camera;
   const Image<Rgb8> picture(1280, 720, {120, 110, 100});
   frame.pixels = std::make_shared<const FramePixels>(picture);
   double touched = 0;
@@ -146,7 +146,7 @@ void composite_frame(benchmark::State& state) {
       state,
       [&] {
         frame.world_from_camera.translation.x += 1e-4;
-        touched = stage->process(frame, setup().light)->touched.fraction;
+        touched = stage->process(frame, update_setup().light)->touched.fraction;
       },
       [&] {
         Image<Rgb8> copy = picture;

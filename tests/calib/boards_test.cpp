@@ -14,7 +14,7 @@ namespace {
 
 using testing::HasSubstr;
 
-constexpr int kWidth = 900, kHeight = 700;
+constexpr int kBoardWidth = 900, kBoardHeight = 700;
 
 struct Seen {
   FramePixels picture;
@@ -33,12 +33,12 @@ Seen view(const cv::Mat& drawing, cv::Point2d from_m, cv::Size2d size_m) {
   // warpPerspective counts from pixel centres, these corners from borders.
   const cv::Matx33d borders(h), half(1, 0, .5, 0, 1, .5, 0, 0, 1);
   cv::Mat grey;
-  cv::warpPerspective(drawing, grey, half.inv() * borders * half, {kWidth, kHeight}, cv::INTER_AREA,
-                      cv::BORDER_CONSTANT, cv::Scalar(200));
+  cv::warpPerspective(drawing, grey, half.inv() * borders * half, {kBoardWidth, kBoardHeight},
+                      cv::INTER_AREA, cv::BORDER_CONSTANT, cv::Scalar(200));
   cv::GaussianBlur(grey, grey, {3, 3}, .7);
-  Image<Rgb8> picture(kWidth, kHeight);
-  for (int y = 0; y < kHeight; ++y)
-    for (int x = 0; x < kWidth; ++x) {
+  Image<Rgb8> picture(kBoardWidth, kBoardHeight);
+  for (int y = 0; y < kBoardHeight; ++y)
+    for (int x = 0; x < kBoardWidth; ++x) {
       const auto v = grey.at<std::uint8_t>(y, x);
       picture.at(x, y) = {v, v, v};
     }
@@ -91,8 +91,8 @@ TEST(Boards, Charuco) {
   // Half of it out of the picture: the rest is known by its markers.
   Seen part = seen;
   auto& picture = std::get<Image<Rgb8>>(part.picture);
-  for (int y = 0; y < kHeight; ++y)
-    for (int x = 0; x < kWidth / 2; ++x) picture.at(x, y) = {90, 90, 90};
+  for (int y = 0; y < kBoardHeight; ++y)
+    for (int x = 0; x < kBoardWidth / 2; ++x) picture.at(x, y) = {90, 90, 90};
   const auto found = find_board(part.picture, *board, "part");
   ASSERT_TRUE(found);
   EXPECT_GE(found->pixels.size(), 10u);

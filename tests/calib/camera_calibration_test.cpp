@@ -19,13 +19,13 @@ namespace {
 
 using testing::HasSubstr;
 
-constexpr int kWidth = 1000, kHeight = 750;
+constexpr int kLensWidth = 1000, kLensHeight = 750;
 constexpr double kNoisePx = .2;
 constexpr int kColumns = 9, kRows = 6;
 constexpr double kSquare = .03;
 
 CameraModel truth(ProjectionKind kind) {
-  CameraModel p = projection(kind, kWidth, kHeight);
+  CameraModel p = projection(kind, kLensWidth, kLensHeight);
   p.principal_px = {493.9, 377.9};
   switch (kind) {
     case kKannalaBrandt:
@@ -51,7 +51,7 @@ std::vector<BoardView> simulate(const CameraModel& camera, int count, std::uint3
   std::uniform_real_distribution<double> unit(-1, 1);
   std::vector<BoardView> out;
   while (static_cast<int>(out.size()) < count) {
-    const glm::dvec2 aim = glm::dvec2(kWidth, kHeight) / 2. *
+    const glm::dvec2 aim = glm::dvec2(kLensWidth, kLensHeight) / 2. *
                            (1. + .85 * spread * glm::dvec2(unit(random), unit(random)));
     const auto towards = direction_from_pixel(camera, aim);
     if (!towards) continue;
@@ -101,7 +101,7 @@ TEST_P(CameraCalibrationOf, UncertaintyCoversTheTruth) {
   double worst_rms = 0, min_rms = 1;
   for (std::uint32_t run = 0; run < kRuns; ++run) {
     const auto result =
-        calibrate_camera(simulate(camera, 12, run + 1), camera.kind, kWidth, kHeight);
+        calibrate_camera(simulate(camera, 12, run + 1), camera.kind, kLensWidth, kLensHeight);
     ASSERT_TRUE(result) << "run " << run << ": " << result.error().detail;
     worst_rms = std::max(worst_rms, result->rms_px);
     min_rms = std::min(min_rms, result->rms_px);
@@ -142,7 +142,7 @@ TEST(CameraCalibration, PicturesThatEndNearTheAxisLeaveTheHighestTermsOut) {
           v.on_board_m.erase(v.on_board_m.begin() + static_cast<std::ptrdiff_t>(i));
         }
     std::erase_if(views, [](const BoardView& v) { return v.pixels.size() < 16; });
-    const auto result = calibrate_camera(views, kPinhole, kWidth, kHeight);
+    const auto result = calibrate_camera(views, kPinhole, kLensWidth, kLensHeight);
     if (!result) {
       EXPECT_EQ(result.error().detail.find("monotone"), std::string::npos)
           << "run " << run << ": " << result.error().detail;
@@ -177,7 +177,7 @@ TEST(CameraCalibration, PosesOfTheBoardsAreInOurAxes) {
     facing.pixels.push_back(*pixel_from_direction(camera, {at.x - .1, .05 - at.y, -1}));
   }
   views.push_back(facing);
-  const auto result = calibrate_camera(views, kPinhole, kWidth, kHeight);
+  const auto result = calibrate_camera(views, kPinhole, kLensWidth, kLensHeight);
   ASSERT_TRUE(result) << result.error().detail;
   const Pose& pose = result->boards.back().camera_from_board;
   EXPECT_LT(glm::length(pose.translation - glm::dvec3(-.1, .05, -1)), .004);
@@ -190,7 +190,7 @@ TEST(CameraCalibration, ABoardThatContradictsTheOthersIsNamed) {
   std::mt19937 random(1);
   std::normal_distribution<double> bent(0, 3);  // a board that moved while the shutter was open
   for (glm::dvec2& p : views[7].pixels) p += glm::dvec2(bent(random), bent(random));
-  const auto result = calibrate_camera(views, camera.kind, kWidth, kHeight);
+  const auto result = calibrate_camera(views, camera.kind, kLensWidth, kLensHeight);
   ASSERT_TRUE(result) << result.error().detail;
   for (const BoardFit& b : result->boards) EXPECT_EQ(b.used, b.name != "board 7") << b.name;
   EXPECT_LT(result->rms_px, .32);
@@ -200,7 +200,7 @@ TEST(CameraCalibration, ABoardThatContradictsTheOthersIsNamed) {
 
 TEST(CameraCalibration, RefusesWhatCannotBeKnownAndSaysWhatToCapture) {
   const auto reason = [](std::span<const BoardView> views, ProjectionKind kind) {
-    const auto result = calibrate_camera(views, kind, kWidth, kHeight);
+    const auto result = calibrate_camera(views, kind, kLensWidth, kLensHeight);
     EXPECT_FALSE(result);
     if (result) return std::string();
     EXPECT_EQ(result.error().code, ErrorCode::kUndetermined);
@@ -212,19 +212,20 @@ TEST(CameraCalibration, RefusesWhatCannotBeKnownAndSaysWhatToCapture) {
   EXPECT_THAT(reason(simulate(pinhole, 12, 1, .01, .3, true), kPinhole), HasSubstr("tilted by"));
   EXPECT_THAT(reason(simulate(fisheye, 12, 1, .8, .05), kKannalaBrandt),
               HasSubstr("board to the borders"));
-  const auto kind = calibrate_camera(simulate(pinhole, 4, 1), kLatLong, kWidth, kHeight);
+  const auto kind = calibrate_camera(simulate(pinhole, 4, 1), kLatLong, kLensWidth, kLensHeight);
   EXPECT_EQ(kind.error().code, ErrorCode::kInvalid);
   // The wrong model is no calibration: it shows in the residuals, which are told.
-  const auto wrong = calibrate_camera(simulate(fisheye, 12, 1), kEquidistant, kWidth, kHeight);
+  const auto wrong =
+      calibrate_camera(simulate(fisheye, 12, 1), kEquidistant, kLensWidth, kLensHeight);
   ASSERT_TRUE(wrong);
   EXPECT_GT(wrong->rms_px, 1);
 }
 
 TEST(CameraCalibration, UndistortedKeepsTheDistortionAtZero) {
-  CameraModel camera = projection(kPinhole, kWidth, kHeight);
+  CameraModel camera = projection(kPinhole, kLensWidth, kLensHeight);
   camera.focal_px = {900, 905};
-  const auto result =
-      calibrate_camera(simulate(camera, 12, 2), kPinhole, kWidth, kHeight, {.undistorted = true});
+  const auto result = calibrate_camera(simulate(camera, 12, 2), kPinhole, kLensWidth, kLensHeight,
+                                       {.undistorted = true});
   ASSERT_TRUE(result);
   EXPECT_FALSE(result->projection.is_distorted());
   EXPECT_NEAR(result->projection.focal_px.x, 900, 4 * result->focal_sigma_px.x);

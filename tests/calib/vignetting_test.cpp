@@ -9,10 +9,10 @@
 namespace penumbra::calib {
 namespace {
 
-constexpr int kWidth = 640, kHeight = 480;
+constexpr int kWallWidth = 640, kWallHeight = 480;
 
 CameraModel lens() {
-  CameraModel p = *make_projection(ProjectionKind::kPinhole, kWidth, kHeight);
+  CameraModel p = *make_projection(ProjectionKind::kPinhole, kWallWidth, kWallHeight);
   p.principal_px += glm::dvec2(14, -9);
   return p;
 }
@@ -26,9 +26,9 @@ EvenPicture paper(double brightness, const glm::dvec2& slope, std::uint32_t seed
   std::normal_distribution<double> noise;
   const Vignetting truth = vignetting_of(lens(), kTerms);
   const Response response = Response::srgb();
-  Image<Rgb8> out(kWidth, kHeight);
-  for (int y = 0; y < kHeight; ++y)
-    for (int x = 0; x < kWidth; ++x) {
+  Image<Rgb8> out(kWallWidth, kWallHeight);
+  for (int y = 0; y < kWallHeight; ++y)
+    for (int x = 0; x < kWallWidth; ++x) {
       const glm::dvec2 px(x + .5, y + .5), off = (px - truth.centre_px) / truth.half_diagonal_px;
       const double near = glm::length(off - spot);
       const double light =
@@ -83,8 +83,8 @@ TEST(Vignetting, PicturesThatTellNothingAreRefusedByName) {
   refuse(std::move(warm), "clipped");
   EvenPicture stripes = paper(.4, {0, 0}, 8);
   auto& image = std::get<Image<Rgb8>>(stripes.pixels);
-  for (int y = 0; y < kHeight; ++y)
-    for (int x = 0; x < kWidth; ++x)
+  for (int y = 0; y < kWallHeight; ++y)
+    for (int x = 0; x < kWallWidth; ++x)
       if (x / 60 % 2 == 0) image.at(x, y) = {90, 90, 90};
   refuse(std::move(stripes), "fall-off of a lens");
   EXPECT_FALSE(calibrate_vignetting({}, lens(), Response::srgb(), 0));

@@ -13,7 +13,7 @@
 namespace penumbra::capture {
 namespace {
 
-constexpr HalfRgba kOne{kHalfOne, kHalfOne, kHalfOne, kHalfOne};
+constexpr HalfRgba kWhite{kHalfOne, kHalfOne, kHalfOne, kHalfOne};
 constexpr HalfRgba kClipped{kHalfOne, kHalfOne, kHalfOne, 0};
 
 calib::CameraModel latlong(int width, int height) {
@@ -24,7 +24,7 @@ calib::CameraModel latlong(int width, int height) {
 
 MergedImage merged_with(int width, int height, std::initializer_list<std::uint32_t> clipped) {
   MergedImage merged;
-  merged.pixels = Image<HalfRgba>(width, height, kOne);
+  merged.pixels = Image<HalfRgba>(width, height, kWhite);
   for (const std::uint32_t i : clipped) merged.pixels.pixels()[i] = kClipped;
   return merged;
 }

@@ -19,13 +19,14 @@
 namespace penumbra::capture {
 namespace {
 
-constexpr int kWidth = 384, kHeight = 192;
+constexpr int kScheduleWidth = 384, kScheduleHeight = 192;
 constexpr double kFps = 30;
 
 CameraInfo camera_info() {
   CameraInfo out;
   out.name = "environment";
-  out.projection = *calib::make_projection(calib::ProjectionKind::kLatLong, kWidth, kHeight);
+  out.projection =
+      *calib::make_projection(calib::ProjectionKind::kLatLong, kScheduleWidth, kScheduleHeight);
   out.response = calib::Response::srgb();
   return out;
 }
@@ -46,7 +47,7 @@ Image<Rgb> scaled(Image<Rgb> map, double mean) {
 
 /// Its sun over some twenty pixels, as a lens shows it.
 Image<Rgb> clear_sky() {
-  Image<Rgb> map = make_sky_environment(kWidth, kHeight, .8);
+  Image<Rgb> map = make_sky_environment(kScheduleWidth, kScheduleHeight, .8);
   blur(map, 1.5);
   return scaled(std::move(map), 2);
 }
@@ -64,11 +65,12 @@ double irradiance_error(const Image<Rgb>& scene, const std::vector<Exposure>& ex
   for (const glm::dvec3 normal :
        {glm::dvec3(0, 1, 0), {0, -1, 0}, {1, 0, 0}, {-1, 0, 0}, {0, 0, 1}, {0, 0, -1}}) {
     double right = 0, ours = 0;
-    for (int y = 0; y < kHeight; ++y)
-      for (int x = 0; x < kWidth; ++x) {
+    for (int y = 0; y < kScheduleHeight; ++y)
+      for (int x = 0; x < kScheduleWidth; ++x) {
         const double w =
-            latlong_solid_angle(y, kWidth, kHeight) *
-            std::max(0., glm::dot(normal, latlong_direction(x + .5, y + .5, kWidth, kHeight)));
+            latlong_solid_angle(y, kScheduleWidth, kScheduleHeight) *
+            std::max(0., glm::dot(normal, latlong_direction(x + .5, y + .5, kScheduleWidth,
+                                                            kScheduleHeight)));
         right += w * static_cast<double>(luminance(scene.at(x, y)));
         ours += w * static_cast<double>(luminance(merged->radiance.at(x, y)));
       }
@@ -113,10 +115,10 @@ TEST(ExposureSchedule, FewestThatKeepTheIrradianceWithinItsBudget) {
     std::size_t max_at_five, max_at_one;  // exposures, at a budget of so many per cent
   };
   const Case cases[] = {
-      {"overcast", scaled(Image<Rgb>(kWidth, kHeight, {1, 1, 1}), 20), 1, 1},
-      {"room", scaled(make_room_environment(kWidth, kHeight), 20), 1, 2},
+      {"overcast", scaled(Image<Rgb>(kScheduleWidth, kScheduleHeight, {1, 1, 1}), 20), 1, 1},
+      {"room", scaled(make_room_environment(kScheduleWidth, kScheduleHeight), 20), 1, 2},
       {"clear sky", clear_sky(), 2, 5},
-      {"dim room", scaled(make_room_environment(kWidth, kHeight), 1), 1, 2},
+      {"dim room", scaled(make_room_environment(kScheduleWidth, kScheduleHeight), 1), 1, 2},
   };
   for (const Case& c : cases)
     for (const double budget : {.05, .01}) {
@@ -153,7 +155,7 @@ TEST(ExposureSchedule, OneExposureLessWouldNotDo) {
 }
 
 TEST(ExposureSchedule, FollowsALampWithinOneRing) {
-  const Image<Rgb> scene = scaled(make_room_environment(kWidth, kHeight), 5);
+  const Image<Rgb> scene = scaled(make_room_environment(kScheduleWidth, kScheduleHeight), 5);
   const double change_s = 3;
   for (const double factor : {20., .02}) {
     const Followed before = run(scene, .01, static_cast<int>(change_s * kFps) - 5);
@@ -183,7 +185,8 @@ TEST(ExposureSchedule, FollowsALampWithinOneRing) {
 }
 
 TEST(ExposureSchedule, StandsStillUnderAStillLight) {
-  const Followed r = run(scaled(make_room_environment(kWidth, kHeight), 20), .01, 600);
+  const Followed r =
+      run(scaled(make_room_environment(kScheduleWidth, kScheduleHeight), 20), .01, 600);
   EXPECT_LE(r.changes.size(), 4u) << "the probe, what it found, and hardly more";
   for (const std::size_t n : r.changes) EXPECT_LT(n, 150u);
 }

@@ -15,7 +15,7 @@ namespace {
 
 namespace fs = std::filesystem;
 
-constexpr int kWidth = 16, kHeight = 8;
+constexpr int kFolderWidth = 16, kFolderHeight = 8;
 
 void write_text(const fs::path& path, const std::string& text) {
   std::ofstream(path, std::ios::binary) << text;
@@ -51,7 +51,7 @@ class HandMade {
     fs::create_directories(path() / "environment");
     for (const char* name : {"0.png", "1.png"}) {
       const auto written = codec::write_frame(path() / "environment" / name,
-                                              Image<Rgb8>(kWidth, kHeight, {1, 2, 3}));
+                                              Image<Rgb8>(kFolderWidth, kFolderHeight, {1, 2, 3}));
       EXPECT_TRUE(written.has_value());
     }
     write_text(path() / "capture.toml", kManifest);
@@ -361,7 +361,8 @@ TEST(CaptureFolder, ADamagedPictureIsOneErrorNamingIt) {
 TEST(CaptureFolder, FloatFramesNeedNoResponse) {
   const HandMade made;
   ASSERT_TRUE(codec::write_hdr(made.path() / "environment" / "0.exr",
-                               Image<Rgb>(kWidth, kHeight, {.5f, 1, 2}), codec::Depth::kFloat));
+                               Image<Rgb>(kFolderWidth, kFolderHeight, {.5f, 1, 2}),
+                               codec::Depth::kFloat));
   write_text(made.path() / "environment.csv",
              "file,time_s,exposure_s,gain\nenvironment/0.exr,0,1,1\n");
   write_text(made.path() / "capture.toml", replaced(kManifest, "response = \"srgb\"\n", ""));

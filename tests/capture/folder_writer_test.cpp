@@ -19,20 +19,21 @@ namespace {
 
 namespace fs = std::filesystem;
 
-constexpr int kWidth = 16, kHeight = 8;
+constexpr int kWrittenWidth = 16, kWrittenHeight = 8;
 
 CameraInfo camera(const std::string& name, Role role, calib::ProjectionKind kind) {
   CameraInfo info;
   info.name = name;
   info.role = role;
-  info.projection = calib::make_projection(kind, kWidth, kHeight).value_or(calib::CameraModel{});
+  info.projection =
+      calib::make_projection(kind, kWrittenWidth, kWrittenHeight).value_or(calib::CameraModel{});
   info.world_from_camera = {glm::normalize(glm::dquat(.9, .1, -.3, .2)), {.1, 1.6, -2.5}};
   return info;
 }
 
 template <class Pixel>
 std::shared_ptr<const FramePixels> picture(const std::function<Pixel(int)>& colour) {
-  Image<Pixel> image(kWidth, kHeight);
+  Image<Pixel> image(kWrittenWidth, kWrittenHeight);
   int n = 0;
   for (Pixel& p : image.pixels()) p = colour(n++);
   return std::make_shared<const FramePixels>(std::move(image));
@@ -63,7 +64,7 @@ std::vector<CameraInfo> three_cameras() {
          glm::normalize(glm::dquat(.1, .2, .9, -.1 * i)), 1.6 + i});
   cameras[1].lenses[1].projection.distortion = {.01, -.002, 0, 1e-4};
   cameras[1].projection = cameras[1].lenses[0].projection;
-  cameras[1].projection.width = kWidth;
+  cameras[1].projection.width = kWrittenWidth;
   cameras[0].vignetting = {-.3, 1. / 7, 0};
   cameras[0].ball = Ball{{}, {.25, 1. / 3, -2}, .05};
   cameras[0].ball_reflectance = {.6f, .55f, .5f};

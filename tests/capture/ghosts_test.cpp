@@ -14,7 +14,7 @@
 namespace penumbra::capture {
 namespace {
 
-constexpr int kWidth = 256, kHeight = 128;
+constexpr int kGhostWidth = 256, kGhostHeight = 128;
 const std::vector<double> kBracket = {1, 1. / 4, 1. / 16, 1. / 64};
 
 Sensor sensor_of(int bits) {
@@ -25,16 +25,16 @@ Sensor sensor_of(int bits) {
 }
 
 CameraInfo camera_of(const Sensor& sensor) {
-  return test::environment_camera(sensor, kWidth, kHeight);
+  return test::environment_camera(sensor, kGhostWidth, kGhostHeight);
 }
 
 using test::radiance_of;
 
 /// A wall of soft pattern, from .05 to .5.
 Image<Rgb> wall() {
-  Image<Rgb> out(kWidth, kHeight);
-  for (int y = 0; y < kHeight; ++y)
-    for (int x = 0; x < kWidth; ++x) {
+  Image<Rgb> out(kGhostWidth, kGhostHeight);
+  for (int y = 0; y < kGhostHeight; ++y)
+    for (int x = 0; x < kGhostWidth; ++x) {
       const auto v =
           static_cast<float>(.05 + .225 * (2 + std::sin(x * .2) + std::cos(y * .15)) / 2);
       out.at(x, y) = {v, .8f * v, .7f * v};
@@ -43,18 +43,19 @@ Image<Rgb> wall() {
 }
 
 void add_distant_light(Image<Rgb>& to, double x, double y, double radius, Rgb radiance) {
-  for (int row = 0; row < kHeight; ++row)
-    for (int column = 0; column < kWidth; ++column)
+  for (int row = 0; row < kGhostHeight; ++row)
+    for (int column = 0; column < kGhostWidth; ++column)
       if (std::hypot(column + .5 - x, row + .5 - y) < radius) to.at(column, row) = radiance;
 }
 
 /// Luminance times solid angle over the sphere.
 double energy(const std::function<Rgb(std::size_t)>& radiance_at) {
   double sum = 0;
-  for (int y = 0; y < kHeight; ++y)
-    for (int x = 0; x < kWidth; ++x)
-      sum += latlong_solid_angle(y, kWidth, kHeight) *
-             static_cast<double>(luminance(radiance_at(static_cast<std::size_t>(y * kWidth + x))));
+  for (int y = 0; y < kGhostHeight; ++y)
+    for (int x = 0; x < kGhostWidth; ++x)
+      sum += latlong_solid_angle(y, kGhostWidth, kGhostHeight) *
+             static_cast<double>(
+                 luminance(radiance_at(static_cast<std::size_t>(y * kGhostWidth + x))));
   return sum;
 }
 double energy(const MergedImage& image) {
@@ -188,7 +189,7 @@ TEST(Ghosts, PersonWhoWalksByLeavesNone) {
     Rings rings(sensor_of(bits));
     double ghost = 0, ghost_naive = 0;
     for (int n = 0; n < 40; ++n) {
-      Image<Rgb> truth(kWidth, kHeight, {.3f, .3f, .3f});
+      Image<Rgb> truth(kGhostWidth, kGhostHeight, {.3f, .3f, .3f});
       const int at = 20 + 4 * n;
       for (int y = 40; y < 100; ++y)
         for (int x = at; x < at + 20; ++x) truth.at(x, y) = {.65f, .55f, .5f};
@@ -196,10 +197,10 @@ TEST(Ghosts, PersonWhoWalksByLeavesNone) {
       if (n < 6) continue;
       const MergedFloat naive = rings.merged_naively();
       // Columns, so that noise averages out and a ghost does not.
-      for (int x = 0; x < kWidth; ++x) {
+      for (int x = 0; x < kGhostWidth; ++x) {
         double ours = 0, plain = 0, right = 0;
         for (int y = 41; y < 99; ++y) {
-          const auto i = static_cast<std::size_t>(y * kWidth + x);
+          const auto i = static_cast<std::size_t>(y * kGhostWidth + x);
           ours += double(radiance_of(*merged, i).g);
           plain += double(naive.radiance.pixels()[i].g);
           right += double(truth.pixels()[i].g);

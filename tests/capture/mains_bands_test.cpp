@@ -18,16 +18,16 @@
 namespace penumbra::capture {
 namespace {
 
-constexpr int kWidth = 256, kHeight = 144;
+constexpr int kBandWidth = 256, kBandHeight = 144;
 using test::Mains;
 
 const std::vector<double> kTimes_s = {.016, .004, .001};
 
 Image<Rgb> room() {
-  return test::room_on_mains(kWidth, kHeight);
+  return test::room_on_mains(kBandWidth, kBandHeight);
 }
 
-Sensor sensor_of(int bits) {
+Sensor band_sensor(int bits) {
   Sensor out;
   out.response = calib::Response::srgb();
   out.bits = bits;
@@ -46,13 +46,13 @@ struct Light {
 template <class Radiance>
 Light light_of(const Image<Rgb>& scene, const Radiance& radiance_at) {
   Light out;
-  for (int y = 0; y < kHeight; ++y)
-    for (int x = 0; x < kWidth; ++x) {
-      const auto i = static_cast<std::size_t>(y * kWidth + x);
+  for (int y = 0; y < kBandHeight; ++y)
+    for (int x = 0; x < kBandWidth; ++x) {
+      const auto i = static_cast<std::size_t>(y * kBandWidth + x);
       const double light =
-          latlong_solid_angle(y, kWidth, kHeight) * double(luminance(radiance_at(i)));
+          latlong_solid_angle(y, kBandWidth, kBandHeight) * double(luminance(radiance_at(i)));
       out.all += light;
-      if (y < kHeight / 4) out.upper += light;
+      if (y < kBandHeight / 4) out.upper += light;
       if (luminance(scene.pixels()[i]) > 100) out.lamps += light;
     }
   return out;
@@ -74,14 +74,14 @@ struct Series {
 class Bits : public testing::TestWithParam<int> {};
 TEST_P(Bits, BandsOfTheMainsAreTakenOut) {
   const Image<Rgb> scene = room();
-  const Sensor sensor = sensor_of(GetParam());
+  const Sensor sensor = band_sensor(GetParam());
   const bool few = GetParam() > 8;  // such frames are merged anew each time, which takes long
   const std::uint64_t frames = few ? 210 : 300;
   for (const double frequency_hz : {100., 120.})
     for (const double readout_s : {.012, .028}) {
       if (few && (frequency_hz > 100 || readout_s > .02)) continue;
       const Mains mains{frequency_hz, .2, readout_s};
-      HdrRing ring(test::environment_camera(sensor, kWidth, kHeight));
+      HdrRing ring(test::environment_camera(sensor, kBandWidth, kBandHeight));
       ExposureStack naive{std::vector<std::shared_ptr<const FramePixels>>(kTimes_s.size()),
                           {},
                           sensor.response,
@@ -115,8 +115,8 @@ INSTANTIATE_TEST_SUITE_P(MainsBands, Bits, testing::Values(8, 12));
 
 TEST(MainsBands, AStillSceneIsNotTouched) {
   const Image<Rgb> scene = room();
-  const Sensor sensor = sensor_of(8);
-  const CameraInfo camera = test::environment_camera(sensor, kWidth, kHeight);
+  const Sensor sensor = band_sensor(8);
+  const CameraInfo camera = test::environment_camera(sensor, kBandWidth, kBandHeight);
   PictureHistory history(camera);
   MainsBands bands;
   for (std::uint64_t n = 0; n < 120; ++n) {
@@ -130,10 +130,10 @@ TEST(MainsBands, AStillSceneIsNotTouched) {
 TEST(MainsBands, AChangeOfTheSceneIsNoBand) {
   const Image<Rgb> scene = room();
   Image<Rgb> brighter = scene;
-  for (int y = kHeight / 2; y < kHeight; ++y)
-    for (int x = 0; x < kWidth; ++x) brighter.at(x, y) = brighter.at(x, y) * 1.6f;
-  const Sensor sensor = sensor_of(8);
-  HdrRing ring(test::environment_camera(sensor, kWidth, kHeight));
+  for (int y = kBandHeight / 2; y < kBandHeight; ++y)
+    for (int x = 0; x < kBandWidth; ++x) brighter.at(x, y) = brighter.at(x, y) * 1.6f;
+  const Sensor sensor = band_sensor(8);
+  HdrRing ring(test::environment_camera(sensor, kBandWidth, kBandHeight));
   const MergedImage* last = nullptr;
   for (std::uint64_t n = 0; n < 90; ++n) {
     const auto merged = ring.add(film(sensor, n < 60 ? scene : brighter, n, {100, 0}));
@@ -153,8 +153,8 @@ TEST(MainsBands, ALampThatGoesOutIsFollowed) {
     const Image<Rgb> scene = room();
     Image<Rgb> darker = scene;
     for (Rgb& p : darker.pixels()) p = p * left;
-    const Sensor sensor = sensor_of(8);
-    HdrRing ring(test::environment_camera(sensor, kWidth, kHeight));
+    const Sensor sensor = band_sensor(8);
+    HdrRing ring(test::environment_camera(sensor, kBandWidth, kBandHeight));
     const Light truth = light_of(scene, [&](std::size_t i) { return darker.pixels()[i]; });
     for (std::uint64_t n = 0; n < 160; ++n) {
       const auto merged = ring.add(film(sensor, n < 90 ? scene : darker, n, {}));
@@ -169,12 +169,12 @@ TEST(MainsBands, ALampThatGoesOutIsFollowed) {
 
 // Largest error of all the light while a lamp moves.
 double error_of_a_moving_lamp(const Mains& mains) {
-  const Sensor sensor = sensor_of(8);
-  HdrRing ring(test::environment_camera(sensor, kWidth, kHeight));
+  const Sensor sensor = band_sensor(8);
+  HdrRing ring(test::environment_camera(sensor, kBandWidth, kBandHeight));
   double worst = 0;
   for (std::uint64_t n = 0; n < 150; ++n) {
     Image<Rgb> scene = room();
-    const int left = n < 90 ? 40 : static_cast<int>(40 + 8 * (n - 90)) % (kWidth - 12);
+    const int left = n < 90 ? 40 : static_cast<int>(40 + 8 * (n - 90)) % (kBandWidth - 12);
     for (int y = 60; y < 72; ++y)
       for (int x = left; x < left + 12; ++x) scene.at(x, y) = {230, 230, 230};
     const auto merged = ring.add(film(sensor, scene, n, mains));
@@ -199,8 +199,8 @@ TEST(MainsBands, ALampThatMovesKeepsItsLight) {
 // Fire, a television, a hand that shakes: rows change by waves at random, but not by the mains.
 TEST(MainsBands, WhatFlickersOtherwiseIsNotTouched) {
   const Image<Rgb> scene = room();
-  const Sensor sensor = sensor_of(8);
-  const CameraInfo camera = test::environment_camera(sensor, kWidth, kHeight);
+  const Sensor sensor = band_sensor(8);
+  const CameraInfo camera = test::environment_camera(sensor, kBandWidth, kBandHeight);
   std::mt19937 rng(3);
   std::uniform_real_distribution<float> random(-.1f, .1f);
   PictureHistory history(camera);
@@ -209,9 +209,9 @@ TEST(MainsBands, WhatFlickersOtherwiseIsNotTouched) {
   for (std::uint64_t n = 0; n < 300; ++n) {
     Image<Rgb> lit = scene;
     const float slope = random(rng);
-    for (int y = 0; y < kHeight; ++y)
-      for (int x = 0; x < kWidth; ++x)
-        lit.at(x, y) = lit.at(x, y) * (1 + slope * (2.f * static_cast<float>(y) / kHeight - 1));
+    for (int y = 0; y < kBandHeight; ++y)
+      for (int x = 0; x < kBandWidth; ++x)
+        lit.at(x, y) = lit.at(x, y) * (1 + slope * (2.f * static_cast<float>(y) / kBandHeight - 1));
     const Frame frame = film(sensor, lit, n, {100, 0});
     touched += bands.find(history.compare(frame, frame.exposure)).has_value();
     history.keep();
@@ -226,8 +226,8 @@ std::vector<std::string> warnings_of(const std::function<Rgb(std::uint64_t)>& co
     if (level == LogLevel::kWarning) out.emplace_back(text);
   });
   const Image<Rgb> scene = room();
-  const Sensor sensor = sensor_of(8);
-  HdrRing ring(test::environment_camera(sensor, kWidth, kHeight));
+  const Sensor sensor = band_sensor(8);
+  HdrRing ring(test::environment_camera(sensor, kBandWidth, kBandHeight));
   for (std::uint64_t n = 0; n < frames; ++n)
     EXPECT_TRUE(ring.add(film(sensor, scene, n, {100, 0}, colour ? colour(n) : Rgb{1, 1, 1})));
   set_log_sink({});

@@ -12,7 +12,7 @@
 namespace penumbra::capture {
 namespace {
 
-constexpr int kWidth = 32, kHeight = 16;
+constexpr int kRawWidth = 32, kRawHeight = 16;
 
 struct Yuv {
   int y, u, v;
@@ -20,8 +20,8 @@ struct Yuv {
 // One colour in YUYV, with `padding` bytes behind each row.
 std::vector<std::byte> yuyv(const Yuv& c, int padding) {
   std::vector<std::byte> out;
-  for (int row = 0; row < kHeight; ++row) {
-    for (int x = 0; x < kWidth; x += 2)
+  for (int row = 0; row < kRawHeight; ++row) {
+    for (int x = 0; x < kRawWidth; x += 2)
       for (const int code : {c.y, c.u, c.y, c.v}) out.push_back(static_cast<std::byte>(code));
     out.resize(out.size() + static_cast<std::size_t>(padding), std::byte{0xff});
   }
@@ -29,7 +29,7 @@ std::vector<std::byte> yuyv(const Yuv& c, int padding) {
 }
 
 Rgb8 centre(const FramePixels& pixels) {
-  return std::get<Image<Rgb8>>(pixels).at(kWidth / 2, kHeight / 2);
+  return std::get<Image<Rgb8>>(pixels).at(kRawWidth / 2, kRawHeight / 2);
 }
 
 void expect_near(const Rgb8& seen, int r, int g, int b, const std::string& what) {
@@ -55,7 +55,7 @@ TEST(RawFormats, YuvByStandardAndRangeWithAnyStride) {
   for (const Case& c : cases)
     for (const int padding : {0, 24}) {
       auto converter = RawConverter::make(
-          {V4L2_PIX_FMT_YUYV, kWidth, kHeight, 2 * kWidth + padding, c.full, c.bt709});
+          {V4L2_PIX_FMT_YUYV, kRawWidth, kRawHeight, 2 * kRawWidth + padding, c.full, c.bt709});
       ASSERT_TRUE(converter) << c.what;
       auto pixels = converter->convert(yuyv(c.code, padding));
       ASSERT_TRUE(pixels) << c.what;
@@ -65,10 +65,10 @@ TEST(RawFormats, YuvByStandardAndRangeWithAnyStride) {
 
 TEST(RawFormats, TwelveBitsFillSixteen) {
   auto converter =
-      RawConverter::make({V4L2_PIX_FMT_Y12, kWidth, kHeight, 2 * kWidth, false, false});
+      RawConverter::make({V4L2_PIX_FMT_Y12, kRawWidth, kRawHeight, 2 * kRawWidth, false, false});
   ASSERT_TRUE(converter);
   for (const std::uint16_t code : {0, 1, 2048, 4095}) {
-    const std::vector<std::uint16_t> raw(kWidth * kHeight, code);
+    const std::vector<std::uint16_t> raw(kRawWidth * kRawHeight, code);
     auto pixels = converter->convert(std::as_bytes(std::span(raw)));
     ASSERT_TRUE(pixels);
     EXPECT_EQ(std::get<Image<Rgb16>>(*pixels).at(3, 3).g, std::lround(code * 65535. / 4095));
@@ -79,7 +79,8 @@ TEST(RawFormats, EveryShorterFrameIsRefused) {
   for (const std::uint32_t format :
        {V4L2_PIX_FMT_YUYV, V4L2_PIX_FMT_NV12, V4L2_PIX_FMT_YUV420, V4L2_PIX_FMT_RGB24,
         V4L2_PIX_FMT_SRGGB8, V4L2_PIX_FMT_SRGGB12, V4L2_PIX_FMT_GREY, V4L2_PIX_FMT_MJPEG}) {
-    auto converter = RawConverter::make({format, kWidth, kHeight, 3 * kWidth, false, false});
+    auto converter =
+        RawConverter::make({format, kRawWidth, kRawHeight, 3 * kRawWidth, false, false});
     ASSERT_TRUE(converter) << fourcc_name(format);
     // Exactly as many bytes as there are: a read beyond them is seen by the address sanitizer.
     for (const std::size_t bytes : {0, 1, 100, 500}) {
@@ -92,24 +93,25 @@ TEST(RawFormats, EveryShorterFrameIsRefused) {
 }
 
 TEST(RawFormats, JpegOfAnotherSizeIsRefused) {
-  auto converter = RawConverter::make({V4L2_PIX_FMT_MJPEG, kWidth, kHeight, 0, false, false});
+  auto converter = RawConverter::make({V4L2_PIX_FMT_MJPEG, kRawWidth, kRawHeight, 0, false, false});
   ASSERT_TRUE(converter);
   const auto picture = [&](int width) {
-    const auto jpeg = *codec::encode_jpeg(Image<Rgb8>(width, kHeight, {200, 100, 50}), 95);
+    const auto jpeg = *codec::encode_jpeg(Image<Rgb8>(width, kRawHeight, {200, 100, 50}), 95);
     return converter->convert(std::as_bytes(std::span(jpeg)));
   };
-  auto right = picture(kWidth);
+  auto right = picture(kRawWidth);
   ASSERT_TRUE(right);
   expect_near(centre(*right), 200, 100, 50, "JPEG");
-  EXPECT_FALSE(picture(2 * kWidth));
+  EXPECT_FALSE(picture(2 * kRawWidth));
 }
 
 TEST(RawFormats, WhatCannotBeReadIsNamed) {
-  auto unknown = RawConverter::make({V4L2_PIX_FMT_H264, kWidth, kHeight, 0, false, false});
+  auto unknown = RawConverter::make({V4L2_PIX_FMT_H264, kRawWidth, kRawHeight, 0, false, false});
   ASSERT_FALSE(unknown);
   EXPECT_EQ(unknown.error().where, "H264");
-  EXPECT_FALSE(RawConverter::make({V4L2_PIX_FMT_YUYV, kWidth, kHeight, kWidth, false, false}));
-  EXPECT_FALSE(RawConverter::make({V4L2_PIX_FMT_YUYV, 0, kHeight, 64, false, false}));
+  EXPECT_FALSE(
+      RawConverter::make({V4L2_PIX_FMT_YUYV, kRawWidth, kRawHeight, kRawWidth, false, false}));
+  EXPECT_FALSE(RawConverter::make({V4L2_PIX_FMT_YUYV, 0, kRawHeight, 64, false, false}));
   EXPECT_FALSE(RawConverter::make({V4L2_PIX_FMT_SRGGB8, 2, 2, 2, false, false}));
   EXPECT_FALSE(fourcc_from("YUYVX"));
   EXPECT_EQ(fourcc_name(*fourcc_from("Y16")), "Y16");

@@ -22,7 +22,7 @@ namespace {
 namespace fs = std::filesystem;
 using testing::HasSubstr;
 
-constexpr int kWidth = 48, kHeight = 32;
+constexpr int kRecordedWidth = 48, kRecordedHeight = 32;
 
 CameraInfo camera(const std::string& name, Role role) {
   CameraInfo out;
@@ -30,7 +30,7 @@ CameraInfo camera(const std::string& name, Role role) {
   out.role = role;
   out.projection = *calib::make_projection(
       role == Role::kView ? calib::ProjectionKind::kPinhole : calib::ProjectionKind::kEquidistant,
-      kWidth, kHeight);
+      kRecordedWidth, kRecordedHeight);
   out.response = calib::Response::srgb();
   out.noise = {12000, 3e-4};
   out.noise_known = true;
@@ -40,7 +40,7 @@ CameraInfo camera(const std::string& name, Role role) {
 }
 
 template <class Pixel>
-FramePixels noise(std::uint32_t seed, int width = kWidth, int height = kHeight) {
+FramePixels noise(std::uint32_t seed, int width = kRecordedWidth, int height = kRecordedHeight) {
   std::mt19937 random(seed);
   Image<Pixel> out(width, height);
   for (Pixel& p : out.pixels()) {
@@ -176,7 +176,7 @@ TEST_F(RecordingTest, JpegIsKeptAsTheCameraCodedIt) {
   ASSERT_TRUE((*read)[0].jpeg);
   EXPECT_EQ(*(*read)[0].jpeg, *jpeg);
   const auto& pixels = std::get<Image<Rgb8>>(*(*read)[0].pixels);
-  EXPECT_EQ(pixels.width(), kWidth);
+  EXPECT_EQ(pixels.width(), kRecordedWidth);
 }
 
 // A cut at any byte gives a shorter recording or a plain refusal, never another frame's label.
@@ -280,7 +280,8 @@ TEST_F(RecordingTest, RefusesWhatItCannotKeep) {
     EXPECT_THAT(reason(frame(0, 6, 2, noise<Rgb8>(1, 47))),
                 HasSubstr("47x32 pixels instead of 48x32"));
     EXPECT_THAT(reason(frame(0, 6, 2, noise<Rgb16>(1))), HasSubstr("16 bits"));
-    EXPECT_THAT(reason(frame(0, 6, 2, Image<Rgb>(kWidth, kHeight))), HasSubstr("capture folder"));
+    EXPECT_THAT(reason(frame(0, 6, 2, Image<Rgb>(kRecordedWidth, kRecordedHeight))),
+                HasSubstr("capture folder"));
     EXPECT_THAT(reason(frame(1, 6, 2, noise<Rgb8>(1))), HasSubstr("no camera 1"));
   }
   const auto again = RecordingWriter::create(path_, {camera("view", Role::kView)}, codings, 60);

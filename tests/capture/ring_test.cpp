@@ -11,11 +11,11 @@
 namespace penumbra::capture {
 namespace {
 
-constexpr int kWidth = 40, kHeight = 20;
+constexpr int kRingWidth = 40, kRingHeight = 20;
 constexpr double kTimes[] = {1, 1. / 4, 1. / 16, 1. / 64};
 
 CameraInfo camera(const Sensor& sensor) {
-  return test::environment_camera(sensor, kWidth, kHeight);
+  return test::environment_camera(sensor, kRingWidth, kRingHeight);
 }
 
 Sensor sensor_of(int bits) {
@@ -30,7 +30,7 @@ Frame frame(const Sensor& sensor, float radiance, double time, std::uint64_t seq
   Frame f;
   f.sequence = sequence;
   f.exposure = {Seconds(time), Gain(1)};
-  f.pixels = test::shot(sensor, Image<Rgb>(kWidth, kHeight, {radiance, radiance, radiance}),
+  f.pixels = test::shot(sensor, Image<Rgb>(kRingWidth, kRingHeight, {radiance, radiance, radiance}),
                         f.exposure, sequence);
   return f;
 }
@@ -68,8 +68,8 @@ TEST(HdrRing, FirstFrameAloneIsAnImage) {
     HdrRing ring(camera(sensor_of(bits)), 4);
     const auto image = ring.add(frame(sensor_of(bits), .4f, 1, 0));
     ASSERT_TRUE(image) << image.error().detail;
-    EXPECT_EQ((*image)->pixels.width(), kWidth);
-    EXPECT_EQ((*image)->pixels.height(), kHeight);
+    EXPECT_EQ((*image)->pixels.width(), kRingWidth);
+    EXPECT_EQ((*image)->pixels.height(), kRingHeight);
     EXPECT_LT(farthest(**image, .4), .02) << bits;
   }
 }
@@ -169,7 +169,7 @@ TEST(HdrRing, FrameOfTheWrongSizeIsRefusedByNameAndChangesNothing) {
   HdrRing ring(camera(sensor), 4);
   ASSERT_TRUE(ring.add(frame(sensor, .5f, 1, 0)));
   Frame wrong = frame(sensor, .5f, 1. / 4, 17);
-  wrong.pixels = std::make_shared<const FramePixels>(Image<Rgb8>(kHeight, kWidth));
+  wrong.pixels = std::make_shared<const FramePixels>(Image<Rgb8>(kRingHeight, kRingWidth));
   const auto image = ring.add(wrong);
   ASSERT_FALSE(image);
   EXPECT_EQ(image.error().code, ErrorCode::kInvalid);

@@ -13,7 +13,7 @@
 namespace penumbra::compositor {
 namespace {
 
-constexpr int kWidth = 48, kHeight = 32;
+constexpr int kPassWidth = 48, kPassHeight = 32;
 
 // Colour premultiplied, and coverage: none, some, all. Halves hold the values exactly.
 std::array<float, 4> layer_value(int x, int y) {
@@ -37,7 +37,8 @@ bool holds(const Rect& r, int x, int y) {
 // From above, askew, onto a shadow that lies in the picture whole.
 View view_of(const Pose& world_from_camera) {
   View view;
-  view.camera = {kWidth, kHeight, {40, 40}, {kWidth / 2., kHeight / 2.}, world_from_camera};
+  view.camera = {
+      kPassWidth, kPassHeight, {40, 40}, {kPassWidth / 2., kPassHeight / 2.}, world_from_camera};
   return view;
 }
 Receivers shadow_below(const View& view, Rect& area) {
@@ -62,11 +63,11 @@ struct Expected {
 // Row by row in one piece.
 Expected expected(const Image<Rgb>& frame, const Layered& in) {
   Expected out{frame};
-  for (int y = 0; y < kHeight; ++y) {
+  for (int y = 0; y < kPassHeight; ++y) {
     std::vector<float> s[3];
-    for (auto& v : s) v.assign(kWidth, 1.f);
-    in.receivers.load_row(y, {0, y, kWidth, y + 1}, s[0].data(), s[1].data(), s[2].data());
-    for (int x = 0; x < kWidth; ++x) {
+    for (auto& v : s) v.assign(kPassWidth, 1.f);
+    in.receivers.load_row(y, {0, y, kPassWidth, y + 1}, s[0].data(), s[1].data(), s[2].data());
+    for (int x = 0; x < kPassWidth; ++x) {
       const std::array<float, 4> none{};
       const auto object = holds(in.objects.rect, x, y) ? layer_value(x, y) : none,
                  hidden = holds(in.hidden.rect, x, y) ? layer_value(x, y) : none;
@@ -91,18 +92,18 @@ TEST(PixelPass, TwoSharesAreTheWholeFrameAndMeetNowhere) {
   Rect area;
   const Receivers receivers = shadow_below(view, area);
   ASSERT_FALSE(area.empty());
-  Image<Rgb> picture(kWidth, kHeight);
-  for (int y = 0; y < kHeight; ++y)
-    for (int x = 0; x < kWidth; ++x)
+  Image<Rgb> picture(kPassWidth, kPassHeight);
+  for (int y = 0; y < kPassHeight; ++y)
+    for (int x = 0; x < kPassWidth; ++x)
       picture.at(x, y) = {.01f * static_cast<float>(x), .02f * static_cast<float>(y), .5f};
   const Rect objects[] = {{20, 10, 31, 21},
                           {0, 5, 9, 30},
-                          {40, 0, kWidth, 12},
-                          {3, 28, 45, kHeight},
+                          {40, 0, kPassWidth, 12},
+                          {3, 28, 45, kPassHeight},
                           {0, 12, 0, 20},
-                          {kWidth, 3, kWidth, 9},
+                          {kPassWidth, 3, kPassWidth, 9},
                           {},
-                          {0, 0, kWidth, kHeight}};
+                          {0, 0, kPassWidth, kPassHeight}};
   for (const Rect& rect : objects)
     for (const Rect& behind : {Rect{}, Rect{12, 6, 37, 25}}) {
       const Layer drawn = layer(rect), hidden = layer(behind);
@@ -118,8 +119,8 @@ TEST(PixelPass, TwoSharesAreTheWholeFrameAndMeetNowhere) {
         written += composite_fraction(second, view, frame, in);
         EXPECT_EQ(written, wanted.written) << rect.x0 << ' ' << rect.x1 << ' ' << objects_first;
         const auto& is = std::get<Image<Rgb>>(frame);
-        for (int y = 0; y < kHeight; ++y)
-          for (int x = 0; x < kWidth; ++x)
+        for (int y = 0; y < kPassHeight; ++y)
+          for (int x = 0; x < kPassWidth; ++x)
             for (int c = 0; c < 3; ++c)
               ASSERT_NEAR(is.at(x, y)[c], wanted.frame.at(x, y)[c], 1e-6)
                   << x << ' ' << y << ", objects from " << rect.x0 << ' ' << rect.y0;

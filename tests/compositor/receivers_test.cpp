@@ -12,20 +12,22 @@
 namespace penumbra::compositor {
 namespace {
 
-constexpr int kWidth = 96, kHeight = 72;
+constexpr int kReceiverWidth = 96, kReceiverHeight = 72;
 
-prt::PinholeView view_from(const glm::dvec3& eye, const glm::dvec3& at) {
-  prt::PinholeView view{kWidth, kHeight, {70, 70}, {kWidth / 2., kHeight / 2.}, {}};
+prt::PinholeView view_of_receivers(const glm::dvec3& eye, const glm::dvec3& at) {
+  prt::PinholeView view{
+      kReceiverWidth, kReceiverHeight, {70, 70}, {kReceiverWidth / 2., kReceiverHeight / 2.}, {}};
   view.world_from_camera = {glm::quatLookAt(glm::normalize(at - eye), glm::dvec3(0, 1, 0)), eye};
   return view;
 }
 
 // From high up, slantwise, along the ground with the horizon in visibility, from within the shadow,
 // and past it.
-std::vector<prt::PinholeView> views() {
-  return {view_from({.1, 3, .2}, {0, 0, .01}), view_from({1.5, 1.2, 2}, {0, 0, 0}),
-          view_from({-2, .25, .4}, {3, .3, 0}), view_from({.2, .4, .1}, {.9, .1, -.6}),
-          view_from({0, 1, 2}, {4, 1.2, -1})};
+std::vector<prt::PinholeView> receiver_views() {
+  return {view_of_receivers({.1, 3, .2}, {0, 0, .01}), view_of_receivers({1.5, 1.2, 2}, {0, 0, 0}),
+          view_of_receivers({-2, .25, .4}, {3, .3, 0}),
+          view_of_receivers({.2, .4, .1}, {.9, .1, -.6}),
+          view_of_receivers({0, 1, 2}, {4, 1.2, -1})};
 }
 
 // Where the ray through a place of the picture meets y = height of a frame, in front of the camera.
@@ -53,23 +55,24 @@ double between_nodes(const Image<float>& nodes, double u, double v) {
 template <class Expected>
 void expect_rows(Receivers& receivers, const Expected& expected) {
   int shaded = 0, spared = 0;
-  for (const prt::PinholeView& view : views()) {
+  for (const prt::PinholeView& view : receiver_views()) {
     const Rect area = receivers.prepare(view);
-    for (int y = 0; y < kHeight; ++y) {
+    for (int y = 0; y < kReceiverHeight; ++y) {
       const Rect narrow = receivers.reach_in_row(y);
-      std::vector<float> r(kWidth, 1), g(kWidth, 1), b(kWidth, 1), residual[3];
+      std::vector<float> r(kReceiverWidth, 1), g(kReceiverWidth, 1), b(kReceiverWidth, 1),
+          residual[3];
       const bool any = receivers.load_row(y, area, r.data(), g.data(), b.data());
-      for (auto& v : residual) v.assign(kWidth, 1);
+      for (auto& v : residual) v.assign(kReceiverWidth, 1);
       receivers.load_row(y, narrow, residual[0].data(), residual[1].data(), residual[2].data());
       // In two pieces, cut within a shadow or beside it.
       std::vector<float> left[3], right[3];
       for (auto* piece : {left, right})
-        for (int c = 0; c < 3; ++c) piece[c].assign(kWidth, 1);
+        for (int c = 0; c < 3; ++c) piece[c].assign(kReceiverWidth, 1);
       const int cut = 20 + y % 50;
       receivers.load_row(y, {0, y, cut, y + 1}, left[0].data(), left[1].data(), left[2].data());
-      receivers.load_row(y, {cut, y, kWidth, y + 1}, right[0].data(), right[1].data(),
+      receivers.load_row(y, {cut, y, kReceiverWidth, y + 1}, right[0].data(), right[1].data(),
                          right[2].data());
-      for (int x = 0; x < kWidth; ++x) {
+      for (int x = 0; x < kReceiverWidth; ++x) {
         const double wanted = expected(view, x, y);
         const bool inside = any && x >= area.x0 && x < area.x1;
         const float whole = inside ? r[static_cast<std::size_t>(x - area.x0)] : 1;

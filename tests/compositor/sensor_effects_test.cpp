@@ -17,7 +17,7 @@ using test::kSceneHeight, test::kSceneWidth;
 // Noise of an ordinary camera, strong enough to be measured.
 constexpr double kElectrons = 4000, kRead = .002;
 
-RadianceSh side_light() {
+RadianceSh light_from_side() {
   return test::sloped_light(1, {.5, .6, .1}, 3);
 }
 
@@ -124,7 +124,7 @@ class SensorEffectsTest : public testing::Test {
 // ------------------------------------------------------------------------------------- off
 
 TEST_F(SensorEffectsTest, WithoutALookEveryPixelIsTheFormulaBitForBit) {
-  test::add_lit(*compositor_, test::baked_sphere(true), side_light());
+  test::add_lit(*compositor_, test::baked_sphere(true), light_from_side());
   const View v = view(&curve8_);
   const Image<Rgb> plus = added(v), times = left(v);
   const auto frame = test::noise_frame<Rgb8>(1);
@@ -158,7 +158,7 @@ TEST_F(SensorEffectsTest, WithoutALookEveryPixelIsTheFormulaBitForBit) {
 // An object in the border of the picture is as dim there as what is real; a shadow is a ratio and
 // stays.
 TEST_F(SensorEffectsTest, VignettingDimsTheObjectAndNotItsShadow) {
-  test::add_lit(*compositor_, test::baked_sphere(true), side_light());
+  test::add_lit(*compositor_, test::baked_sphere(true), light_from_side());
   const View plain = view();
   View dim = plain;
   dim.vignetting = {{-.3, -.1, 0}, {20, 30}, 200};
@@ -292,7 +292,7 @@ TEST_F(SensorEffectsTest, NoiseOfNeighboursChannelsAndFramesHasNothingInCommon) 
 
 TEST_F(SensorEffectsTest, SameFrameNumberGivesTheSameBytesAndAnotherOneDoesNot) {
   const auto object = test::baked_sphere(true);
-  test::add_lit(*compositor_, object, side_light());
+  test::add_lit(*compositor_, object, light_from_side());
   const FramePixels frame = test::noise_frame<Rgb8>(2);
   View v = view(&curve8_);
   v.effects = noise(11);
@@ -304,7 +304,7 @@ TEST_F(SensorEffectsTest, SameFrameNumberGivesTheSameBytesAndAnotherOneDoesNot) 
   v.effects.frame = 11;
   EXPECT_EQ(composited(frame, v), first);
   start();
-  test::add_lit(*compositor_, object, side_light());
+  test::add_lit(*compositor_, object, light_from_side());
   EXPECT_EQ(composited(frame, v), first) << "by another compositor";
 }
 
@@ -372,7 +372,7 @@ TEST_F(SensorEffectsTest, InsertedEdgeIsAsWideAsARealOne) {
 }
 
 TEST_F(SensorEffectsTest, ObjectAndShadowAreBlurredTogetherAndRealPixelsNotAtAll) {
-  test::add_lit(*compositor_, test::baked_sphere(true), side_light());
+  test::add_lit(*compositor_, test::baked_sphere(true), light_from_side());
   const double sigma = 2;
   const int radius = 6;
   View v = view();
@@ -404,7 +404,7 @@ TEST_F(SensorEffectsTest, ObjectAndShadowAreBlurredTogetherAndRealPixelsNotAtAll
 }
 
 TEST_F(SensorEffectsTest, PixelsOutOfReachComeOutBitForBitAndTheRimOfTheBlurDoesNot) {
-  const int handle = test::add_lit(*compositor_, test::baked_sphere(true), side_light());
+  const int handle = test::add_lit(*compositor_, test::baked_sphere(true), light_from_side());
   for (const glm::dvec3& at : {glm::dvec3(0), glm::dvec3(-.9, 0, .5), glm::dvec3(1.2, .3, 0)}) {
     compositor_->set_pose(handle, {{1, 0, 0, 0}, at});
     View v = view(&curve8_);
@@ -471,7 +471,7 @@ TEST_F(SensorEffectsTest, NothingVirtualChangesNothing) {
 }
 
 TEST_F(SensorEffectsTest, ImpossibleLooksAreRefusedAndTheFrameIsLeftAlone) {
-  test::add_lit(*compositor_, test::baked_sphere(true), side_light());
+  test::add_lit(*compositor_, test::baked_sphere(true), light_from_side());
   const float nan = std::nanf("");
   for (const SensorEffects& look :
        {SensorEffects{-1, 0, 0, 0}, SensorEffects{nan, 0, 0, 0}, SensorEffects{21, 0, 0, 0},

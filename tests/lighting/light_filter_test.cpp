@@ -15,7 +15,7 @@ namespace {
 
 using glm::dvec3;
 
-constexpr std::int64_t kMapNs = 33'333'333;
+constexpr std::int64_t kFilterMapNs = 33'333'333;
 constexpr double kNoise = .01;
 
 // A light with structure in all nine bands, turned about the vertical.
@@ -82,7 +82,7 @@ TEST(LightFilter, NoiseOfAStaticLightFallsByTheGainsFactor) {
     constexpr int kMaps = 400, kReady = 60;
     for (int i = 0; i < kMaps; ++i) {
       const ShProjection measured = with_noise(truth, noise, rng),
-                         out = filtered(filter, i * kMapNs, measured);
+                         out = filtered(filter, i * kFilterMapNs, measured);
       if (i < kReady) continue;
       square_in += std::pow((Values(measured) - Values(truth)).rms(), 2);
       square_out += std::pow((Values(out) - Values(truth)).rms(), 2);
@@ -112,7 +112,7 @@ TEST(LightFilter, EachCoefficientHasItsOwnNoise) {
     ShProjection p = with_noise(truth, .001, rng);
     for (int c = 0; c < 3; ++c) p.light[0][c] += gauss(rng);
     const double in = p.light[0].g - truth.light[0].g;
-    filter.update(TimestampNs{i * kMapNs}, p);
+    filter.update(TimestampNs{i * kFilterMapNs}, p);
     if (i < 100) continue;
     mean_in += in * in;
     mean_out += std::pow(p.light[0].g - truth.light[0].g, 2);
@@ -128,7 +128,7 @@ TEST(LightFilter, NoiselessLightPassesBitForBitWhetherItStandsOrChanges) {
   LightFilter filter;
   for (int i = 0; i < 60; ++i) {
     const ShProjection in = turned(i < 20 ? 0 : i < 40 ? .01 * i : 1.5 + .3 * (i % 2));
-    const ShProjection out = filtered(filter, i * kMapNs, in);
+    const ShProjection out = filtered(filter, i * kFilterMapNs, in);
     ASSERT_LT((Values(out) - Values(in)).rms(), 1e-6 * Values(in).rms()) << i;
     if (i < 20) {
       ASSERT_EQ(out.light, in.light) << i;
@@ -152,7 +152,7 @@ TEST(LightFilter, SwitchedLampIsFollowedInTheNextMapWhereSmoothingLags) {
     for (int i = 0; i < kEnd; ++i) {
       const bool is_on = i >= kOn && i < kOff;
       const ShProjection measured = with_noise(is_on ? on : off, kNoise, rng),
-                         out = filtered(filter, i * kMapNs, measured);
+                         out = filtered(filter, i * kFilterMapNs, measured);
       const Values& smooth = naive.update(measured);
       const Values truth(is_on ? on : off);
       if (i == kOn || i == kOff) {
@@ -174,9 +174,9 @@ TEST(LightFilter, EvenLightThatIsDimmedIsFollowedThoughOnlyItsMeanChanges) {
                             1};
   ShProjection dim = bright;
   dim.light[0] = dim.light[0] * .97f;
-  for (int i = 0; i < 80; ++i) filtered(filter, i * kMapNs, with_noise(bright, kNoise, rng));
+  for (int i = 0; i < 80; ++i) filtered(filter, i * kFilterMapNs, with_noise(bright, kNoise, rng));
   const ShProjection measured = with_noise(dim, kNoise, rng),
-                     out = filtered(filter, 80 * kMapNs, measured);
+                     out = filtered(filter, 80 * kFilterMapNs, measured);
   EXPECT_EQ(out.light, measured.light);
 }
 
@@ -185,12 +185,13 @@ TEST(LightFilter, GrownNoiseIsLearnedAndDoesNotSwitchTheFilterOff) {
   LightFilter filter;
   const ShProjection truth = turned(0);
   int i = 0;
-  for (; i < 100; ++i) filtered(filter, i * kMapNs, with_noise(truth, .001, rng));
-  for (; i < 200; ++i) filtered(filter, i * kMapNs, with_noise(truth, .02, rng));
+  for (; i < 100; ++i) filtered(filter, i * kFilterMapNs, with_noise(truth, .001, rng));
+  for (; i < 200; ++i) filtered(filter, i * kFilterMapNs, with_noise(truth, .02, rng));
   double square = 0;
   for (; i < 300; ++i)
     square += std::pow(
-        (Values(filtered(filter, i * kMapNs, with_noise(truth, .02, rng))) - Values(truth)).rms(),
+        (Values(filtered(filter, i * kFilterMapNs, with_noise(truth, .02, rng))) - Values(truth))
+            .rms(),
         2);
   EXPECT_LT(std::sqrt(square / 100), .4 * .02);
 }
@@ -212,7 +213,7 @@ Lag lag_of_turn(double rad_per_map, double noise) {
     const ShProjection before = turned(angle);
     if (i >= 60) angle += rad_per_map;  // from rest
     const ShProjection now = turned(angle), measured = with_noise(now, noise, rng);
-    const Values out(filtered(filter, i * kMapNs, measured)), smooth = naive.update(measured);
+    const Values out(filtered(filter, i * kFilterMapNs, measured)), smooth = naive.update(measured);
     if (i < 61) continue;
     const Values step = Values(now) - Values(before);
     along += step.dot(Values(now) - out);
@@ -248,7 +249,7 @@ TEST(LightFilter, StandsStillAgainAfterATurn) {
   double angle = 0;
   for (int i = 0; i < 200; ++i) {
     if (i >= 60 && i < 120) angle += .01;
-    filtered(filter, i * kMapNs, with_noise(turned(angle), kNoise, rng));
+    filtered(filter, i * kFilterMapNs, with_noise(turned(angle), kNoise, rng));
   }
   EXPECT_LT(filter.gain(), .25);
 }
@@ -262,7 +263,7 @@ TEST(LightFilter, IrregularStepsMeasureTheSameNoise) {
   const ShProjection truth = turned(0);
   double square = 0, time = 0;
   for (int i = 0; i < 300; ++i) {
-    time += step(rng) * kMapNs;
+    time += step(rng) * kFilterMapNs;
     const auto out =
         filtered(filter, static_cast<std::int64_t>(time), with_noise(truth, kNoise, rng));
     if (i >= 60) square += std::pow((Values(out) - Values(truth)).rms(), 2) / 240;
@@ -282,7 +283,7 @@ TEST(LightFilter, RepeatedTimestampsNeitherDivideByZeroNorMoveAKnownLight) {
   for (int i = 0; i < 100; ++i) {
     const ShProjection measured = with_noise(truth, kNoise, rng);
     for (int again = 0; again < 3; ++again) {
-      last = filtered(filter, i / 2 * kMapNs, measured);
+      last = filtered(filter, i / 2 * kFilterMapNs, measured);
       for (const double v : Values(last).v) ASSERT_TRUE(std::isfinite(v)) << i;
     }
   }
@@ -297,11 +298,12 @@ TEST(LightFilter, RepeatedTimestampsNeitherDivideByZeroNorMoveAKnownLight) {
 TEST(LightFilter, TimeThatGoesBackOrOtherBandsStartAgain) {
   std::mt19937 rng(10);
   LightFilter filter;
-  for (int i = 0; i < 50; ++i) filtered(filter, i * kMapNs, with_noise(turned(0), kNoise, rng));
+  for (int i = 0; i < 50; ++i)
+    filtered(filter, i * kFilterMapNs, with_noise(turned(0), kNoise, rng));
   const ShProjection first = with_noise(turned(0), kNoise, rng);
   EXPECT_EQ(filtered(filter, 0, first).light, first.light);
   const ShProjection fewer{first.light.with_bands(3), first.upper_moments.with_bands(3), 1};
-  EXPECT_EQ(filtered(filter, kMapNs, fewer).light, fewer.light);
+  EXPECT_EQ(filtered(filter, kFilterMapNs, fewer).light, fewer.light);
 }
 
 // -------------------------------------------------------------------------- bad input
@@ -315,7 +317,7 @@ TEST(LightFilter, NanNeverSticks) {
     for (int i = 0; i < 90; ++i) {
       ShProjection p = with_noise(truth, kNoise, rng);
       if (i == 0 || i == 2 || i == 40) p.upper_moments[7].g = bad;
-      filter.update(TimestampNs{i * kMapNs}, p);
+      filter.update(TimestampNs{i * kFilterMapNs}, p);
       if (i == 0) continue;  // nothing is known yet
       for (const double v : Values(p).v) ASSERT_TRUE(std::isfinite(v)) << bad << ' ' << i;
       if (i == 40) {
@@ -331,10 +333,11 @@ TEST(LightFilter, NanNeverSticks) {
 TEST(LightFilter, NoLightStaysNoLight) {
   LightFilter filter;
   const ShProjection none{RadianceSh(9), RadianceSh(9), 1};
-  for (int i = 0; i < 20; ++i) EXPECT_EQ(filtered(filter, i * kMapNs, none).light, none.light);
+  for (int i = 0; i < 20; ++i)
+    EXPECT_EQ(filtered(filter, i * kFilterMapNs, none).light, none.light);
   const ShProjection lamp = turned(0);
-  EXPECT_EQ(filtered(filter, 20 * kMapNs, lamp).light, lamp.light);
-  EXPECT_EQ(filtered(filter, 21 * kMapNs, none).light, none.light);
+  EXPECT_EQ(filtered(filter, 20 * kFilterMapNs, lamp).light, lamp.light);
+  EXPECT_EQ(filtered(filter, 21 * kFilterMapNs, none).light, none.light);
 }
 
 // -------------------------------------------------------------------------- in the estimator
@@ -358,7 +361,7 @@ TEST(EstimateStream, FilteredLightHasLessNoiseTheSameEnergyAndIsRepeatable) {
   std::mt19937 rng(12);
   std::vector<double> a, b;
   for (int i = 0; i < 200; ++i) {
-    const Environment e = noisy_room(rng, i * kMapNs, .3);
+    const Environment e = noisy_room(rng, i * kFilterMapNs, .3);
     const auto x = with.estimate(e), y = without.estimate(e), z = again.estimate(e);
     ASSERT_TRUE(x && y && z);
     EXPECT_EQ(x->light, z->light);

@@ -16,7 +16,7 @@ namespace {
 
 constexpr Rgb kGrey{.5f, .5f, .5f};
 
-const Character& walker() {
+const Character& animated_walker() {
   static const Character c = make_walker(kGrey);
   return c;
 }
@@ -36,23 +36,29 @@ float largest_move(const Mesh& a, const Mesh& b) {
 
 TEST(Animation, RestPoseIsTheMeshAtRest) {
   Mesh mesh;
-  deform(walker(), rest_pose(walker()), mesh);
+  deform(animated_walker(), rest_pose(animated_walker()), mesh);
   for (std::size_t i = 0; i < mesh.positions.size(); ++i) {
-    EXPECT_LT(glm::distance(mesh.positions[i], walker().positions[i]), 1e-5f);
-    EXPECT_LT(glm::distance(mesh.normals[i], walker().normals[i]), 1e-4f);
+    EXPECT_LT(glm::distance(mesh.positions[i], animated_walker().positions[i]), 1e-5f);
+    EXPECT_LT(glm::distance(mesh.normals[i], animated_walker().normals[i]), 1e-4f);
   }
 }
 
 TEST(Animation, ClipsGoOnFromTheirEndToTheirBegin) {
-  const double length = walker().clips[0].seconds;
-  EXPECT_LT(largest_move(mesh_at(walker(), 0, .3), mesh_at(walker(), 0, .3 + 3 * length)), 1e-5f);
-  EXPECT_LT(largest_move(mesh_at(walker(), 0, length - 1e-4), mesh_at(walker(), 0, 0)), .005f);
-  EXPECT_LT(largest_move(mesh_at(walker(), 0, -.2), mesh_at(walker(), 0, length - .2)), 1e-5f);
+  const double length = animated_walker().clips[0].seconds;
+  EXPECT_LT(largest_move(mesh_at(animated_walker(), 0, .3),
+                         mesh_at(animated_walker(), 0, .3 + 3 * length)),
+            1e-5f);
+  EXPECT_LT(
+      largest_move(mesh_at(animated_walker(), 0, length - 1e-4), mesh_at(animated_walker(), 0, 0)),
+      .005f);
+  EXPECT_LT(
+      largest_move(mesh_at(animated_walker(), 0, -.2), mesh_at(animated_walker(), 0, length - .2)),
+      1e-5f);
 }
 
 TEST(Animation, TheWalkerStandsOnTheFloorAndFacesOutwards) {
   for (double t = 0; t < 1.1; t += .09) {
-    const Mesh mesh = mesh_at(walker(), 0, t);
+    const Mesh mesh = mesh_at(animated_walker(), 0, t);
     EXPECT_NEAR(bounds_of(mesh).low.y, 0, .012f) << t;
     double volume = 0;
     for (const auto& tri : mesh.triangles)
@@ -64,8 +70,8 @@ TEST(Animation, TheWalkerStandsOnTheFloorAndFacesOutwards) {
 }
 
 TEST(Animation, BlendingEndsAtItsPosesAndStaysOnTheArc) {
-  const CharacterPose a = sample(walker(), walker().clips[0], .2),
-                      b = sample(walker(), walker().clips[1], .7);
+  const CharacterPose a = sample(animated_walker(), animated_walker().clips[0], .2),
+                      b = sample(animated_walker(), animated_walker().clips[1], .7);
   const CharacterPose none = blend(a, b, 0), all = blend(a, b, 1), half = blend(a, b, .5f);
   for (std::size_t i = 0; i < a.nodes.size(); ++i) {
     EXPECT_GT(std::abs(glm::dot(none.nodes[i].rotation, a.nodes[i].rotation)), 1 - 1e-6f);
@@ -77,7 +83,7 @@ TEST(Animation, BlendingEndsAtItsPosesAndStaysOnTheArc) {
 }
 
 TEST(Animation, BonesTurnAsTheirVerticesDo) {
-  Character c = walker();
+  Character c = animated_walker();
   CharacterPose pose = rest_pose(c);
   pose.nodes[0].rotation = glm::angleAxis(.7f, glm::vec3(0, 1, 0));
   const auto turns = bone_turns(c, pose);
@@ -94,7 +100,7 @@ TEST(Animation, BonesTurnAsTheirVerticesDo) {
 }
 
 TEST(Animation, AMirroringFrameKeepsTheOutsideOut) {
-  Character c = walker();
+  Character c = animated_walker();
   c.frame = glm::scale(glm::mat4(1), glm::vec3(-1, 1, 1));
   const Mesh mesh = mesh_at(c, 0, .4);
   std::size_t agree = 0;
@@ -107,12 +113,12 @@ TEST(Animation, AMirroringFrameKeepsTheOutsideOut) {
 }
 
 TEST(Animation, SubdividingMovesNoVertex) {
-  Character fine = walker();
+  Character fine = animated_walker();
   subdivide(fine, .03f);
-  ASSERT_GT(fine.positions.size(), walker().positions.size());
+  ASSERT_GT(fine.positions.size(), animated_walker().positions.size());
   EXPECT_EQ(fine.influences.size(), fine.positions.size());
   EXPECT_EQ(fine.texture_coordinates.size(), fine.positions.size());
-  const Mesh a = mesh_at(walker(), 0, .5), b = mesh_at(fine, 0, .5);
+  const Mesh a = mesh_at(animated_walker(), 0, .5), b = mesh_at(fine, 0, .5);
   EXPECT_LT(largest_move(a, b), 1e-6f);
   for (const Character::Influence& f : fine.influences) {
     float sum = 0;
@@ -179,10 +185,10 @@ TEST(CharacterImport, AThingWithoutClipsSaysSo) {
 }
 
 TEST(Animation, AClipIsFoundByNameOrNumber) {
-  EXPECT_EQ(find_clip(walker(), "Wave").value(), 1);
-  EXPECT_EQ(find_clip(walker(), "2").value(), 2);
+  EXPECT_EQ(find_clip(animated_walker(), "Wave").value(), 1);
+  EXPECT_EQ(find_clip(animated_walker(), "2").value(), 2);
   for (const char* wrong : {"Run", "3", "-1", "1x", ""}) {
-    const auto clip = find_clip(walker(), wrong);
+    const auto clip = find_clip(animated_walker(), wrong);
     ASSERT_FALSE(clip) << wrong;
     EXPECT_THAT(clip.error().detail, testing::HasSubstr("Walk, Wave, Rest"));
   }

@@ -12,7 +12,7 @@
 namespace penumbra::prt {
 namespace {
 
-constexpr Rgb kGrey{.5f, .5f, .5f};
+constexpr Rgb kHalfGrey{.5f, .5f, .5f};
 
 // Every texel that a bilinear lookup at a random surface point reads stands for the surface near
 // it.
@@ -56,11 +56,11 @@ void expect_lookups_are_covered(const Character& c, int width, int height) {
 }
 
 TEST(LightMap, EveryLookupTouchesBakedTexels) {
-  expect_lookups_are_covered(make_walker(kGrey), 128, 128);
+  expect_lookups_are_covered(make_walker(kHalfGrey), 128, 128);
 }
 
 TEST(LightMap, AnAtlasServesWhatHasNoTextureCoordinates) {
-  const Character knot = test::resting(make_knot(.5f, 60, 12, kGrey));
+  const Character knot = test::resting(make_knot(.5f, 60, 12, kHalfGrey));
   EXPECT_FALSE(texture_use(knot, 128, 128).usable());
   const Character with = for_light_map(knot, 128, 128);
   EXPECT_TRUE(texture_use(with, 128, 128).usable());
@@ -72,7 +72,7 @@ TEST(LightMap, AnAtlasServesWhatHasNoTextureCoordinates) {
 }
 
 TEST(LightMap, OverlappingCoordinatesAreNotUsedForLight) {
-  Character c = make_walker(kGrey);
+  Character c = make_walker(kHalfGrey);
   EXPECT_TRUE(texture_use(c, 128, 128).usable());
   // Mirrored halves share texels, as game assets do: right for albedo, wrong for light.
   for (glm::vec2& uv : c.texture_coordinates)
@@ -88,7 +88,7 @@ TEST(LightMap, OverlappingCoordinatesAreNotUsedForLight) {
 }
 
 TEST(LightMap, TrianglesWithoutAreaInTheTextureAreNotLost) {
-  Character c = make_walker(kGrey);
+  Character c = make_walker(kHalfGrey);
   // The head's field shrunk to a point: its light would be one texel's.
   for (glm::vec2& uv : c.texture_coordinates)
     if (uv.x > .52f && uv.y < .31f) uv = {.6f, .1f};
@@ -99,7 +99,7 @@ TEST(LightMap, TrianglesWithoutAreaInTheTextureAreNotLost) {
 TEST(LightMap, ACoarseSphereDoesNotShadeItself) {
   // Smooth normals on flat triangles: points of the flats see their neighbours above their own
   // horizon.
-  const Mesh sphere = make_sphere({0, 0, 0}, 1, 1, kGrey);
+  const Mesh sphere = make_sphere({0, 0, 0}, 1, 1, kHalfGrey);
   const Character c = for_light_map(test::resting(sphere), 96, 96);
   const SurfaceLayout layout = lay_out(c, 96, 96);
   Mesh mesh;
@@ -135,7 +135,7 @@ TEST(LightMap, ACoarseSphereDoesNotShadeItself) {
 }
 
 TEST(LightMap, NeighboursComeEarlierAndShareTheBone) {
-  const SurfaceLayout layout = lay_out(make_walker(kGrey), 64, 64);
+  const SurfaceLayout layout = lay_out(make_walker(kHalfGrey), 64, 64);
   for (std::size_t p = 0; p < layout.points(); ++p)
     for (const std::uint32_t n : layout.neighbours[p]) {
       if (n == SurfaceLayout::kNone) continue;

@@ -9,28 +9,28 @@
 namespace penumbra::prt {
 namespace {
 
-const Character& walker() {
+const Character& live_walker() {
   static const Character c = make_walker({.5f, .5f, .5f});
   return c;
 }
 
 LiveBakeOptions options_with_floor(int bands = 3) {
   Mesh mesh;
-  deform(walker(), rest_pose(walker()), mesh);
+  deform(live_walker(), rest_pose(live_walker()), mesh);
   return {bands, Receiver{fit_ground_grid(mesh, 0, 24), {.4f, .4f, .4f}}};
 }
 
 CharacterPose walking(double seconds) {
-  return sample(walker(), walker().clips[0], seconds);
+  return sample(live_walker(), live_walker().clips[0], seconds);
 }
 // Neither clip has this pose.
 CharacterPose waving_as_it_walks(double seconds) {
-  return blend(walking(seconds), sample(walker(), walker().clips[1], seconds), .5f);
+  return blend(walking(seconds), sample(live_walker(), live_walker().clips[1], seconds), .5f);
 }
 
 BakedObject baked(const CharacterPose& pose, const LiveBakeOptions& o) {
   Mesh mesh;
-  deform(walker(), pose, mesh);
+  deform(live_walker(), pose, mesh);
   BakeOptions options;
   options.bands = o.bands;
   options.rays = options.ground_rays = 1024;
@@ -75,7 +75,7 @@ double shadow_error(const BakedObject& is, const BakedObject& should) {
 }
 
 LiveBake begin(const LiveBakeOptions& options) {
-  auto live = LiveBake::create(walker(), options);
+  auto live = LiveBake::create(live_walker(), options);
   EXPECT_TRUE(live);
   return std::move(*live);
 }
@@ -184,10 +184,10 @@ TEST(LiveBake, CarriesColourByReflection) {
 
 TEST(LiveBake, RefusesWhatItCannotTrace) {
   EXPECT_EQ(LiveBake::create(Character{}, {}).error().code, ErrorCode::kInvalid);
-  EXPECT_EQ(LiveBake::create(walker(), {0, {}}).error().code, ErrorCode::kInvalid);
+  EXPECT_EQ(LiveBake::create(live_walker(), {0, {}}).error().code, ErrorCode::kInvalid);
   LiveBakeOptions options = options_with_floor();
   options.receiver->grid.half_extent = std::numeric_limits<float>::quiet_NaN();
-  EXPECT_EQ(LiveBake::create(walker(), options).error().code, ErrorCode::kInvalid);
+  EXPECT_EQ(LiveBake::create(live_walker(), options).error().code, ErrorCode::kInvalid);
 }
 
 }  // namespace

@@ -20,10 +20,10 @@ namespace {
 
 namespace fs = std::filesystem;
 
-constexpr Rgb kGrey{.5f, .5f, .5f};
+constexpr Rgb kSkin{.5f, .5f, .5f};
 
-const Character& walker() {
-  static const Character c = make_walker(kGrey);
+const Character& grey_walker() {
+  static const Character c = make_walker(kSkin);
   return c;
 }
 
@@ -92,7 +92,7 @@ double transfer_error(const Transfer& exact, const Transfer& ours,
 
 // A knot that turns about an axis askew.
 Character spinning_knot() {
-  Character c = test::one_bone(make_knot(.5f, 60, 12, kGrey));
+  Character c = test::one_bone(make_knot(.5f, 60, 12, kSkin));
   Clip clip{"Spin", 1, {{0, {}, {}, {}}}, {}};
   const glm::vec3 axis = glm::normalize(glm::vec3(.3f, 1, -.2f));
   for (int k = 0; k <= 8; ++k)
@@ -143,7 +143,7 @@ TEST(Sequence, ARigidSpinLeavesTransferAsItIsInTheMaterial) {
 }
 
 TEST(Sequence, AClipAtRestGivesTheSameBitsInEveryFrame) {
-  Character still = walker();
+  Character still = grey_walker();
   still.clips[2].seconds = 1;  // "Rest" for a second
   const Baked b = bake_clip(still, 2, quick(4));
   ASSERT_EQ(b.frames.size(), 4u);
@@ -153,7 +153,7 @@ TEST(Sequence, AClipAtRestGivesTheSameBitsInEveryFrame) {
 }
 
 TEST(Sequence, AClipOfOnePoseIsOneFrame) {
-  const Baked b = bake_clip(walker(), 2, quick());
+  const Baked b = bake_clip(grey_walker(), 2, quick());
   EXPECT_EQ(b.sequence.surface.frames(), 1);
   EXPECT_EQ(b.sequence.frame_at(3.7), 0);
   std::vector<float> out(3 * b.sequence.surface.stride()), later(out.size());
@@ -168,7 +168,7 @@ TEST(Sequence, CompressionKeepsItsError) {
   o.ground_albedo = {.4f, .4f, .4f};
   for (const double error : {.05, .01}) {
     o.error = error;
-    const Baked b = bake_clip(walker(), 0, o);
+    const Baked b = bake_clip(grey_walker(), 0, o);
     EXPECT_LE(b.sequence.report.compression_error, error * 1.001);
     EXPECT_GT(b.sequence.report.compression_error, error * .8);
     // Promised for light of the mean energies: random light of them errs about as much.
@@ -257,7 +257,7 @@ TEST(Sequence, ALongClipOfManyMovesKeepsItsErrorToo) {
 }
 
 TEST(Sequence, RelightingIsRelightingWhatIsDecoded) {
-  Character coloured = walker();
+  Character coloured = grey_walker();
   for (std::size_t i = 0; i < coloured.albedo.size(); ++i)
     coloured.albedo[i] = i % 2 ? Rgb{.8f, .3f, .2f} : Rgb{.2f, .4f, .7f};
   const Baked b = bake_clip(coloured, 0, quick(8));
@@ -277,7 +277,7 @@ TEST(Sequence, RelightingIsRelightingWhatIsDecoded) {
 }
 
 TEST(Sequence, WhatNobodySeesIsLeftOut) {
-  const Character c = walker();
+  const Character c = grey_walker();
   const Baked b = bake_clip(c, 0, quick(8));
   const TransferSequence& s = b.sequence.surface;
   const RadianceSh light = some_light(3, 5);
@@ -307,7 +307,7 @@ TEST(Sequence, WhatNobodySeesIsLeftOut) {
 TEST(Sequence, MapsThatDoNotFitEightBitsAreRelitToo) {
   SequenceOptions fine = quick(8);
   fine.error = 1e-4;
-  const Character c = walker();
+  const Character c = grey_walker();
   const Baked b = bake_clip(c, 0, fine);
   const TransferSequence& s = b.sequence.surface;
   const RadianceSh light = some_light(3, 5);
@@ -334,11 +334,11 @@ TEST(Sequence, ShardsMergeToTheSameBytes) {
     std::vector<fs::path> journals;
     for (int i = shards - 1; i >= 0; --i) {
       journals.push_back(folder.path() / (name + std::to_string(i)));
-      EXPECT_TRUE(bake_frames(walker(), 0, o, {i, shards}, journals.back()));
+      EXPECT_TRUE(bake_frames(grey_walker(), 0, o, {i, shards}, journals.back()));
     }
-    const auto sequence = compress_frames(walker(), 0, o, journals);
+    const auto sequence = compress_frames(grey_walker(), 0, o, journals);
     EXPECT_TRUE(sequence);
-    EXPECT_TRUE(write_sequence(folder.path() / name, walker(), 0, *sequence));
+    EXPECT_TRUE(write_sequence(folder.path() / name, grey_walker(), 0, *sequence));
     return *read_bytes(folder.path() / name);
   };
   const auto whole = bytes_of(1, "whole");
@@ -346,21 +346,21 @@ TEST(Sequence, ShardsMergeToTheSameBytes) {
   EXPECT_EQ(bytes_of(8, "eight"), whole);
   // A shard that is missing is named by its frames.
   const fs::path some[] = {folder.path() / "three0", folder.path() / "three2"};
-  const auto incomplete = compress_frames(walker(), 0, o, some);
+  const auto incomplete = compress_frames(grey_walker(), 0, o, some);
   ASSERT_FALSE(incomplete);
   EXPECT_THAT(incomplete.error().detail, testing::HasSubstr("frame 1 of 8"));
-  EXPECT_FALSE(bake_frames(walker(), 0, o, {3, 3}, folder.path() / "none"));
+  EXPECT_FALSE(bake_frames(grey_walker(), 0, o, {3, 3}, folder.path() / "none"));
 }
 
 TEST(Sequence, AKilledBakeGoesOnWhereItStopped) {
   const test::TempFolder folder;
   SequenceOptions o = quick(6);
   const fs::path journal = folder.path() / "j";
-  ASSERT_TRUE(bake_frames(walker(), 0, o, {}, journal));
+  ASSERT_TRUE(bake_frames(grey_walker(), 0, o, {}, journal));
   const auto whole = *read_bytes(journal);
   const fs::path journals[] = {journal};
-  const auto expected = compress_frames(walker(), 0, o, journals);
-  ASSERT_TRUE(write_sequence(folder.path() / "a", walker(), 0, *expected));
+  const auto expected = compress_frames(grey_walker(), 0, o, journals);
+  ASSERT_TRUE(write_sequence(folder.path() / "a", grey_walker(), 0, *expected));
   // Cut in the middle of the fourth frame, as a kill while writing leaves it.
   const std::size_t head = 32, record = (whole.size() - head) / 7;
   ASSERT_EQ(expected->surface.frames(), 7);
@@ -370,17 +370,17 @@ TEST(Sequence, AKilledBakeGoesOnWhereItStopped) {
     const double frame = 7 * done;
     if (frame - std::floor(frame) > .01) worked_on.insert(static_cast<int>(frame));
   };
-  ASSERT_TRUE(bake_frames(walker(), 0, o, {}, journal));
+  ASSERT_TRUE(bake_frames(grey_walker(), 0, o, {}, journal));
   EXPECT_THAT(worked_on, testing::ElementsAre(3, 4, 5, 6));
-  const auto again = compress_frames(walker(), 0, o, journals);
+  const auto again = compress_frames(grey_walker(), 0, o, journals);
   ASSERT_TRUE(again) << again.error().detail;
-  ASSERT_TRUE(write_sequence(folder.path() / "b", walker(), 0, *again));
+  ASSERT_TRUE(write_sequence(folder.path() / "b", grey_walker(), 0, *again));
   EXPECT_EQ(*read_bytes(folder.path() / "a"), *read_bytes(folder.path() / "b"));
   EXPECT_EQ(again->report.rays, expected->report.rays);
   // The journal of another bake is not gone on with, nor lost.
   SequenceOptions other = quick(6);
   other.rays = 128;
-  const auto refused = bake_frames(walker(), 0, other, {}, journal);
+  const auto refused = bake_frames(grey_walker(), 0, other, {}, journal);
   ASSERT_FALSE(refused);
   EXPECT_THAT(refused.error().detail, testing::HasSubstr("another"));
   EXPECT_EQ(fs::file_size(journal), whole.size());
@@ -388,7 +388,7 @@ TEST(Sequence, AKilledBakeGoesOnWhereItStopped) {
 
 // Walks in the first third of the clip and stands for the rest.
 Character hasty() {
-  Character c = walker();
+  Character c = grey_walker();
   for (Clip::NodeTracks& t : c.clips[0].nodes) {
     for (auto& key : t.rotation) key.seconds *= .3;
     for (auto& key : t.translation) key.seconds *= .3;
@@ -516,13 +516,13 @@ TEST(Sequence, AFileComesBackWhole) {
   SequenceOptions o = quick(8);
   o.ground_size = 16;
   o.map_width = o.map_height = 64;
-  const Baked b = bake_clip(walker(), 0, o);
+  const Baked b = bake_clip(grey_walker(), 0, o);
   const fs::path file = folder.path() / "walk.shlm";
-  ASSERT_TRUE(write_sequence(file, walker(), 0, b.sequence));
-  const auto read = read_sequence(file, walker(), 0);
+  ASSERT_TRUE(write_sequence(file, grey_walker(), 0, b.sequence));
+  const auto read = read_sequence(file, grey_walker(), 0);
   ASSERT_TRUE(read) << read.error().detail;
   const RadianceSh light = some_light(3, 9);
-  const auto turns = bone_turns(walker(), sample(walker(), walker().clips[0], .5));
+  const auto turns = bone_turns(grey_walker(), sample(grey_walker(), grey_walker().clips[0], .5));
   for (const auto member : {&BakedSequence::surface, &BakedSequence::surface_reflected,
                             &BakedSequence::ground_deficit, &BakedSequence::ground_reflected}) {
     const TransferSequence &x = b.sequence.*member, &y = (*read).*member;
@@ -546,14 +546,15 @@ TEST(Sequence, AFileComesBackWhole) {
   EXPECT_EQ(info->seconds, b.sequence.seconds);
   EXPECT_EQ(info->report.compression_error, b.sequence.report.compression_error);
   // Of another mesh, and of another clip of the same.
-  Character other = walker();
+  Character other = grey_walker();
   other.positions[17].x += .01f;
-  for (const auto& refused : {read_sequence(file, other, 0), read_sequence(file, walker(), 1)}) {
+  for (const auto& refused :
+       {read_sequence(file, other, 0), read_sequence(file, grey_walker(), 1)}) {
     ASSERT_FALSE(refused);
     EXPECT_THAT(refused.error().detail, testing::HasSubstr("another mesh"));
   }
   // Where it stands is the scene's affair.
-  other = walker();
+  other = grey_walker();
   other.frame[3] = glm::vec4(5, 0, 1, 1);
   EXPECT_TRUE(read_sequence(file, other, 0));
 }
@@ -562,9 +563,9 @@ TEST(Sequence, DamageIsTold) {
   const test::TempFolder folder;
   SequenceOptions o = quick(4);
   o.ground_size = 8;
-  const Baked b = bake_clip(walker(), 0, o);
+  const Baked b = bake_clip(grey_walker(), 0, o);
   const fs::path file = folder.path() / "walk.shlm";
-  ASSERT_TRUE(write_sequence(file, walker(), 0, b.sequence));
+  ASSERT_TRUE(write_sequence(file, grey_walker(), 0, b.sequence));
   const auto bytes = *read_bytes(file);
   const auto write = [&](std::span<const unsigned char> part) {
     std::ofstream(file, std::ios::binary)
@@ -573,7 +574,7 @@ TEST(Sequence, DamageIsTold) {
   };
   for (std::size_t cut = 0; cut < bytes.size(); cut += 1 + bytes.size() / 97) {
     write(std::span(bytes).first(cut));
-    const auto read = read_sequence(file, walker(), 0);
+    const auto read = read_sequence(file, grey_walker(), 0);
     ASSERT_FALSE(read) << cut;
     EXPECT_EQ(read.error().where, file.string());
   }
@@ -582,9 +583,9 @@ TEST(Sequence, DamageIsTold) {
     auto wrong = bytes;
     wrong[random() % wrong.size()] ^= static_cast<unsigned char>(1 + random() % 255);
     write(wrong);
-    EXPECT_FALSE(read_sequence(file, walker(), 0));
+    EXPECT_FALSE(read_sequence(file, grey_walker(), 0));
     // Without the checksum's help damage is found or harmless, and never ends the program.
-    const auto decoded = decode_sequence(wrong, walker(), 0, "damaged");
+    const auto decoded = decode_sequence(wrong, grey_walker(), 0, "damaged");
     if (!decoded) continue;
     std::vector<float> out(3 * decoded->surface.stride());
     decoded->surface.relight(1.5, some_light(3, 1), {}, out);
@@ -593,7 +594,7 @@ TEST(Sequence, DamageIsTold) {
 
 TEST(Sequence, KeyFramesThatMakeNoSenseAreTold) {
   const test::TempFolder folder;
-  const Baked b = bake_clip(walker(), 0, quick(4));
+  const Baked b = bake_clip(grey_walker(), 0, quick(4));
   ASSERT_EQ(b.sequence.keys.at.size(), 4u);
   for (const KeyFrames& wrong :
        {KeyFrames{0, {0, 8, 16, 24}}, KeyFrames{32, {0, 16, 8, 24}}, KeyFrames{32, {0, 8, 8, 24}},
@@ -601,8 +602,8 @@ TEST(Sequence, KeyFramesThatMakeNoSenseAreTold) {
         KeyFrames{32, {0, 8, 16, 20, 24}}, KeyFrames{32, {}}}) {
     BakedSequence s = b.sequence;
     s.keys = wrong;
-    ASSERT_TRUE(write_sequence(folder.path() / "k", walker(), 0, s));
-    const auto read = read_sequence(folder.path() / "k", walker(), 0);
+    ASSERT_TRUE(write_sequence(folder.path() / "k", grey_walker(), 0, s));
+    const auto read = read_sequence(folder.path() / "k", grey_walker(), 0);
     ASSERT_FALSE(read) << wrong.parts << " " << wrong.at.size();
     EXPECT_THAT(read.error().detail, testing::HasSubstr("damaged"));
   }
@@ -611,9 +612,9 @@ TEST(Sequence, KeyFramesThatMakeNoSenseAreTold) {
 TEST(Sequence, WhatLiesWithinAnotherPartDoesNotFlicker) {
   // A ball that dips into a box and comes out again: while it is inside its points see only backs
   // of walls.
-  Mesh mesh = make_box({-1, -1, -1}, {1, 1, 1}, 6, kGrey);
+  Mesh mesh = make_box({-1, -1, -1}, {1, 1, 1}, 6, kSkin);
   const std::size_t box = mesh.positions.size();
-  append(mesh, make_sphere({0, 0, 0}, .5f, 2, kGrey));
+  append(mesh, make_sphere({0, 0, 0}, .5f, 2, kSkin));
   Character c = spinning_knot();
   c.positions = mesh.positions;
   c.normals = mesh.normals;
@@ -646,22 +647,22 @@ TEST(Sequence, DenoisingHelpsAndLeavesExactThingsAlone) {
     double wrong = 0, all = 0;
     for (std::size_t f = 0; f < a.frames.size(); ++f)
       for (int n = 0; n < 9; ++n)
-        for (std::size_t p = walker().positions.size(); p < a.frames[f].points; ++p) {
+        for (std::size_t p = grey_walker().positions.size(); p < a.frames[f].points; ++p) {
           const double exact = reference.frames[f].value(0, n, p);
           wrong += std::pow(a.frames[f].value(0, n, p) - exact, 2);
           all += exact * exact;
         }
     return std::sqrt(wrong / all);
   };
-  const Baked with = bake_clip(walker(), 0, o);
+  const Baked with = bake_clip(grey_walker(), 0, o);
   o.denoise = false;
-  const Baked without = bake_clip(walker(), 0, o);
+  const Baked without = bake_clip(grey_walker(), 0, o);
   o.rays = 2048;
-  const Baked reference = bake_clip(walker(), 0, o);
+  const Baked reference = bake_clip(grey_walker(), 0, o);
   EXPECT_LT(error_against(with, reference), .85 * error_against(without, reference));
   // A convex thing blocks nothing: no noise, no change.
   Character ball = spinning_knot();
-  const Mesh sphere = make_sphere({0, 0, 0}, 1, 3, kGrey);
+  const Mesh sphere = make_sphere({0, 0, 0}, 1, 3, kSkin);
   ball.positions = sphere.positions;
   ball.normals = sphere.normals;
   ball.albedo = sphere.albedo;
@@ -680,7 +681,7 @@ TEST(Sequence, BadOptionsAreNamed) {
   const auto refusal = [&](const std::function<void(SequenceOptions&)>& change, int clip = 0) {
     SequenceOptions o = quick();
     change(o);
-    const auto baked = bake_frames(walker(), clip, o, {}, folder.path() / "j");
+    const auto baked = bake_frames(grey_walker(), clip, o, {}, folder.path() / "j");
     return baked ? std::string() : baked.error().where;
   };
   EXPECT_EQ(refusal([](auto& o) { o.bands = 0; }), "bands");

@@ -12,6 +12,7 @@
 #include "core/conventions.h"
 #include "lighting/lighting.h"
 #include "runtime/pipeline/pipeline.h"
+#include "tests/support/gl.h"
 #include "tests/support/temp_folder.h"
 
 namespace penumbra::runtime {
@@ -100,17 +101,13 @@ std::size_t different(const Image<Rgb8>& a, const Image<Rgb8>& b, int codes) {
   return out;
 }
 
-#define NEED_GL(pipeline)                                                \
-  if (!(pipeline) && (pipeline).error().code == ErrorCode::kUnavailable) \
-  GTEST_SKIP() << "no OpenGL ES 3.1 here: " << (pipeline).error().detail
-
 // Moved to a place, all of it looks as if the scene had it there: object, shadow, and what another
 // one takes of its light.
 TEST_F(MovedObjects, LookAsIfTheSceneHadThemThere) {
   const glm::dvec3 from(-.3, 0, .1), to(.25, 0, -.1), neighbour(.02, 0, .05);
   const double turn = 1.1;
   auto moved = pipeline(scene_of({thing("moved", from), thing("other", neighbour)}));
-  NEED_GL(moved);
+  PENUMBRA_NEED_GL(moved);
   ASSERT_TRUE(moved) << moved.error().detail;
   auto there = *pipeline(scene_of({thing("moved", to, turn), thing("other", neighbour)}));
   const Image<Rgb8> before = drawn(*moved, 0);
@@ -130,7 +127,7 @@ TEST_F(MovedObjects, LookAsIfTheSceneHadThemThere) {
 TEST_F(MovedObjects, ATrackIsFollowedByTheFramesTimes) {
   const glm::dvec3 a(-.3, 0, .1), b(.3, 0, 0);
   auto tracked = pipeline(scene_of({thing("walker", a)}));
-  NEED_GL(tracked);
+  PENUMBRA_NEED_GL(tracked);
   ASSERT_TRUE(tracked) << tracked.error().detail;
   const double begin = (frames_[1].time - TimestampNs{0}).count(),
                end = (frames_[5].time - TimestampNs{0}).count();
@@ -161,7 +158,7 @@ TEST_F(MovedObjects, TakenAwayAllLooksAsIfTheSceneHadThemNot) {
     Scene both = scene_of({gone, stays}), alone = scene_of({stays});
     for (const RealGeometry& r : things) both.real.push_back(r), alone.real.push_back(r);
     auto shown = pipeline(both);
-    NEED_GL(shown);
+    PENUMBRA_NEED_GL(shown);
     ASSERT_TRUE(shown) << shown.error().detail;
     both.objects[0].visible = false;
     auto hidden = *pipeline(both), without = *pipeline(alone);
@@ -189,7 +186,7 @@ TEST_F(MovedObjects, TakenAwayAllLooksAsIfTheSceneHadThemNot) {
 TEST_F(MovedObjects, AreChangedByAnotherThreadWhileTheyAreDrawn) {
   const glm::dvec3 rest(-.1, 0, .12);
   auto live = pipeline(scene_of({thing("moved", rest), thing("other", {.15, 0, -.05})}));
-  NEED_GL(live);
+  PENUMBRA_NEED_GL(live);
   ASSERT_TRUE(live) << live.error().detail;
   drawn(*live, 0);
   const Image<Rgb8> before = drawn(*live, 0);

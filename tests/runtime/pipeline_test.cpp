@@ -8,6 +8,7 @@
 #include "capture/capture.h"
 #include "lighting/lighting.h"
 #include "prt/prt.h"
+#include "tests/support/gl.h"
 
 namespace penumbra {
 namespace {
@@ -42,10 +43,6 @@ const Bench& bench() {
   return b;
 }
 
-#define NEED_GL(pipeline)                                                \
-  if (!(pipeline) && (pipeline).error().code == ErrorCode::kUnavailable) \
-  GTEST_SKIP() << "no OpenGL ES 3.1 here: " << (pipeline).error().detail
-
 std::vector<capture::CameraInfo> view_camera_alone() {
   std::vector<capture::CameraInfo> cameras =
       capture::Studio(bench().world, bench().options).cameras();
@@ -69,7 +66,7 @@ TEST(Pipeline, AReplayOfASunNeedsItsTime) {
   scene->sun = lighting::SunSite{50, 8, 0, {}};
   const auto sink = [](const runtime::Output&) { return true; };
   auto pipeline = Pipeline::create(studio.cameras(), scene);
-  NEED_GL(pipeline);
+  PENUMBRA_NEED_GL(pipeline);
   ASSERT_TRUE(pipeline);
   const auto refused = pipeline->replay(studio, sink);
   ASSERT_FALSE(refused);
@@ -83,7 +80,7 @@ TEST(Pipeline, AReplayOfASunNeedsItsTime) {
 TEST(Pipeline, FrameByFrameItDrawsWhatAReplayDraws) {
   capture::Studio studio(bench().world, bench().options);
   auto replayed = Pipeline::create(studio.cameras(), bench().scene);
-  NEED_GL(replayed);
+  PENUMBRA_NEED_GL(replayed);
   ASSERT_TRUE(replayed) << replayed.error().detail;
   std::vector<FramePixels> expected;
   ASSERT_TRUE(replayed->replay(studio, [&](const runtime::Output& out) {
@@ -121,7 +118,7 @@ TEST(Pipeline, FrameByFrameItDrawsWhatAReplayDraws) {
 
 TEST(Pipeline, BeforeThereIsLightAFrameComesBackAsItIs) {
   auto pipeline = Pipeline::create(view_camera_alone(), bench().scene);
-  NEED_GL(pipeline);
+  PENUMBRA_NEED_GL(pipeline);
   ASSERT_TRUE(pipeline) << pipeline.error().detail;
   capture::Frame frame = view_frame();
   frame.camera = 0;
@@ -143,7 +140,7 @@ TEST(Pipeline, WithoutACameraThatShowsTheSurroundingsOnlySetLightGivesLight) {
   ASSERT_FALSE(check);
   EXPECT_EQ(check.error().code, ErrorCode::kInvalid);
   auto pipeline = Pipeline::create(cameras, bench().scene);
-  NEED_GL(pipeline);
+  PENUMBRA_NEED_GL(pipeline);
   ASSERT_TRUE(pipeline) << pipeline.error().detail;
   EXPECT_FALSE(pipeline->shows_surroundings(0));
   EXPECT_EQ(pipeline->add_environment(view_frame()).error().code, ErrorCode::kInvalid);
@@ -155,7 +152,7 @@ TEST(Pipeline, WithoutACameraThatShowsTheSurroundingsOnlySetLightGivesLight) {
 TEST(Pipeline, FramesAndSourcesOfOtherCamerasAreRefused) {
   const capture::Studio studio(bench().world, bench().options);
   auto pipeline = Pipeline::create(studio.cameras(), bench().scene);
-  NEED_GL(pipeline);
+  PENUMBRA_NEED_GL(pipeline);
   ASSERT_TRUE(pipeline) << pipeline.error().detail;
   const auto refused = [](const auto& result) {
     return !result && result.error().code == ErrorCode::kInvalid;

@@ -18,6 +18,7 @@
 #include "runtime/studio/studio_setup.h"
 #include "shadows/shadows.h"
 #include "tests/support/ball_pictures.h"
+#include "tests/support/gl.h"
 
 namespace penumbra::runtime {
 namespace {
@@ -64,15 +65,11 @@ struct Stages {
                                        compositor::Compositor::Surface::kOffscreen, times)) {}
 };
 
-#define NEED_GL(stages)                                                              \
-  if (!(stages).compose && (stages).compose.error().code == ErrorCode::kUnavailable) \
-  GTEST_SKIP() << "no OpenGL ES 3.1 here: " << (stages).compose.error().detail
-
 TEST(Replay, SameInputGivesTheSameBytes) {
   std::vector<FramePixels> first;
   for (int run = 0; run < 2; ++run) {
     Stages s;
-    NEED_GL(s);
+    PENUMBRA_NEED_GL(s.compose);
     std::size_t i = 0;
     const auto counts = run_replay(
         s.studio, *s.light, **s.compose,
@@ -163,7 +160,7 @@ TEST(Replay, MirrorBallInTheViewCamerasPictureIsAllTheLightThatItNeeds) {
 // dimmer.
 TEST(Replay, FirstFramesAreLitByAWholeBracket) {
   Stages s;
-  NEED_GL(s);
+  PENUMBRA_NEED_GL(s.compose);
   ASSERT_GT(s.studio.schedule().size(), 1u);
   std::vector<double> brightness, times;
   const auto counts = run_replay(
@@ -194,7 +191,7 @@ TEST(Replay, AWarmStageDrawsTheSameFrames) {
   std::vector<FramePixels> cold;
   for (const bool warm : {false, true}) {
     Stages s;
-    NEED_GL(s);
+    PENUMBRA_NEED_GL(s.compose);
     if (warm) (*s.compose)->warm_up();
     std::size_t i = 0;
     const auto counts = run_replay(
@@ -213,7 +210,7 @@ TEST(Replay, AWarmStageDrawsTheSameFrames) {
 
 TEST(Replay, SinkStopsTheRun) {
   Stages s;
-  NEED_GL(s);
+  PENUMBRA_NEED_GL(s.compose);
   int seen = 0;
   const auto counts = run_replay(
       s.studio, *s.light, **s.compose, [&](const Output&) { return ++seen < 5; }, s.times);
@@ -223,7 +220,7 @@ TEST(Replay, SinkStopsTheRun) {
 
 TEST(Live, EveryFrameIsHandedOutOrCountedAsDropped) {
   Stages s;
-  NEED_GL(s);
+  PENUMBRA_NEED_GL(s.compose);
   const std::atomic<bool> stop = false;
   const auto counts = run_live(
       s.studio, *s.light, **s.compose, [](const Output&) { return true; }, s.times, stop);
@@ -234,7 +231,7 @@ TEST(Live, EveryFrameIsHandedOutOrCountedAsDropped) {
 
 TEST(Live, FramesThatComeLateAreTheSameAndInOrder) {
   Stages s;
-  NEED_GL(s);
+  PENUMBRA_NEED_GL(s.compose);
   // Two pictures in turn; the next one always waits already, so that every frame ends beside the
   // begin of the next.
   capture::StudioOptions endless = bench().options;
@@ -273,7 +270,7 @@ TEST(Live, FramesThatComeLateAreTheSameAndInOrder) {
 
 TEST(Live, LightsThatAFrameHasNoTimeForAreGivenUp) {
   Stages s;
-  NEED_GL(s);
+  PENUMBRA_NEED_GL(s.compose);
   // Nobody has the twenty microseconds that a frame may take here.
   capture::StudioOptions hurried = bench().options;
   hurried.view_fps = 50'000;
@@ -302,7 +299,7 @@ TEST(Live, LightsThatAFrameHasNoTimeForAreGivenUp) {
 
 TEST(Live, StopsAtAnyMomentAndJoinsItsThreads) {
   Stages s;
-  NEED_GL(s);
+  PENUMBRA_NEED_GL(s.compose);
   for (int round = 0; round < 100; ++round) {
     capture::Studio studio(bench().world, [&] {
       capture::StudioOptions endless = bench().options;
@@ -344,7 +341,7 @@ class FailingSource : public capture::FrameSource {
 
 TEST(Live, ErrorOfTheSourceReachesTheCaller) {
   Stages s;
-  NEED_GL(s);
+  PENUMBRA_NEED_GL(s.compose);
   FailingSource source(s.studio);
   const std::atomic<bool> stop = false;
   const auto counts = run_live(
@@ -355,7 +352,7 @@ TEST(Live, ErrorOfTheSourceReachesTheCaller) {
 
 TEST(Live, ThrowingSinkEndsTheRunInsteadOfHangingIt) {
   Stages s;
-  NEED_GL(s);
+  PENUMBRA_NEED_GL(s.compose);
   const std::atomic<bool> stop = false;
   EXPECT_THROW((void)run_live(
                    s.studio, *s.light, **s.compose,
@@ -378,7 +375,7 @@ class FlakySource : public FailingSource {
 
 TEST(Live, DamagedFramesAreCountedAndDoNotEndTheRun) {
   Stages s;
-  NEED_GL(s);
+  PENUMBRA_NEED_GL(s.compose);
   FlakySource source(s.studio);
   const std::atomic<bool> stop = false;
   const auto counts = run_live(
@@ -401,7 +398,7 @@ class GapSource : public FailingSource {
 
 TEST(Live, StopDoesNotWaitForAFrameThatIsDueMuchLater) {
   Stages s;
-  NEED_GL(s);
+  PENUMBRA_NEED_GL(s.compose);
   GapSource source(s.studio);
   std::atomic<bool> stop = false;
   const auto counts = run_live(
@@ -442,7 +439,7 @@ class SilentSource : public capture::FrameSource {
 
 TEST(Live, StopReleasesASourceThatWaitsForACamera) {
   Stages s;
-  NEED_GL(s);
+  PENUMBRA_NEED_GL(s.compose);
   SilentSource source(s.studio);
   std::atomic<bool> stop = false;
   const auto counts = run_live(
@@ -452,7 +449,7 @@ TEST(Live, StopReleasesASourceThatWaitsForACamera) {
 
 TEST(Replay, DarkWorldIsAnErrorOnlyWhenNoLightEverCame) {
   Stages s;
-  NEED_GL(s);
+  PENUMBRA_NEED_GL(s.compose);
   // Every environment frame is exposed so briefly that it is black.
   capture::StudioOptions dark = bench().options;
   dark.schedule = {{Seconds(1e-9), Gain(1)}};

@@ -14,7 +14,7 @@
 namespace penumbra::runtime {
 namespace {
 
-constexpr int kWidth = 120, kHeight = 80;
+constexpr int kSensorWidth = 120, kSensorHeight = 80;
 constexpr double kLean = .09, kFocal = 100;
 
 /// Whether a white wall 2 m ahead, right of a leaning edge, stands there; else it is dark.
@@ -53,7 +53,7 @@ lighting::LightEstimate white_light() {
 capture::StudioOptions studio_options(int bits, double psf, Exposure exposure) {
   capture::StudioOptions o;
   o.environment_width = 32, o.environment_height = 16;
-  o.view_width = kWidth, o.view_height = kHeight;
+  o.view_width = kSensorWidth, o.view_height = kSensorHeight;
   o.view_focal_px = kFocal;
   o.schedule = {{Seconds(.5), Gain(1)}};
   o.view_exposure = exposure;
@@ -67,7 +67,7 @@ capture::StudioOptions studio_options(int bits, double psf, Exposure exposure) {
 
 /// Mean and variance over the frames of a clip, green, in signal.
 struct Clip {
-  std::vector<double> mean = std::vector<double>(kWidth * kHeight), variance = mean;
+  std::vector<double> mean = std::vector<double>(kSensorWidth * kSensorHeight), variance = mean;
   double count = 0;
 
   void add(const FramePixels& pixels, const calib::Response& response) {
@@ -83,22 +83,23 @@ struct Clip {
   }
   double average(const std::vector<double>& of, double per) const {  // of the wall's inside
     double sum = 0;
-    for (int y = 0; y < kHeight; ++y)
-      for (int x = kWidth - 30; x < kWidth; ++x) sum += of[std::size_t(y * kWidth + x)];
-    return sum / (30. * kHeight) / per;
+    for (int y = 0; y < kSensorHeight; ++y)
+      for (int x = kSensorWidth - 30; x < kSensorWidth; ++x)
+        sum += of[std::size_t(y * kSensorWidth + x)];
+    return sum / (30. * kSensorHeight) / per;
   }
   double level() const { return average(mean, 1); }
   double noise() const { return average(variance, count - 1); }
   /// From 10 to 90 % of the level across the edge, pixels.
   double edge_width() const {
     std::vector<double> sum(128), n(128);
-    for (int y = 0; y < kHeight; ++y)
-      for (int x = 0; x < kWidth; ++x) {
-        const double d =
-            (x + .5 - kWidth / 2.) * std::cos(kLean) + (y + .5 - kHeight / 2.) * std::sin(kLean);
+    for (int y = 0; y < kSensorHeight; ++y)
+      for (int x = 0; x < kSensorWidth; ++x) {
+        const double d = (x + .5 - kSensorWidth / 2.) * std::cos(kLean) +
+                         (y + .5 - kSensorHeight / 2.) * std::sin(kLean);
         const double bin = (d + 8) * 8;
         if (bin < 0 || bin >= 128) continue;
-        sum[std::size_t(bin)] += mean[std::size_t(y * kWidth + x)] / level();
+        sum[std::size_t(bin)] += mean[std::size_t(y * kSensorWidth + x)] / level();
         n[std::size_t(bin)] += 1;
       }
     const auto crossing = [&](double at) {
@@ -168,12 +169,12 @@ TEST(SensorEffects, InsertedWallIsAsNoisyAndAsSoftAsARealOne) {
 std::array<double, 3> colour_of(const FramePixels& pixels) {
   std::array<double, 3> sum{};
   const auto& image = std::get<Image<Rgb16>>(pixels);
-  for (int y = 0; y < kHeight; ++y)
-    for (int x = kWidth - 30; x < kWidth; ++x) {
+  for (int y = 0; y < kSensorHeight; ++y)
+    for (int x = kSensorWidth - 30; x < kSensorWidth; ++x) {
       const Rgb16& p = image.at(x, y);
       sum[0] += p.r, sum[1] += p.g, sum[2] += p.b;
     }
-  for (double& s : sum) s /= 30. * kHeight;
+  for (double& s : sum) s /= 30. * kSensorHeight;
   return sum;
 }
 

@@ -22,17 +22,18 @@ namespace {
 using capture::CameraInfo;
 using glm::dvec3;
 
-constexpr int kWidth = 512, kHeight = 256;
+constexpr int kViewWidth = 512, kViewHeight = 256;
 const glm::dquat kBack = glm::angleAxis(kPi, dvec3(0, 1, 0));
 
 using Sky = std::function<Rgb(const dvec3&)>;
 
 Sky room() {
-  auto map = std::make_shared<const Image<Rgb>>(capture::make_room_environment(kWidth, kHeight));
+  auto map =
+      std::make_shared<const Image<Rgb>>(capture::make_room_environment(kViewWidth, kViewHeight));
   return [map](const dvec3& d) {
-    const glm::dvec2 px = latlong_pixel(d, kWidth, kHeight);
-    return map->at(std::min(static_cast<int>(px.x), kWidth - 1),
-                   std::min(static_cast<int>(px.y), kHeight - 1));
+    const glm::dvec2 px = latlong_pixel(d, kViewWidth, kViewHeight);
+    return map->at(std::min(static_cast<int>(px.x), kViewWidth - 1),
+                   std::min(static_cast<int>(px.y), kViewHeight - 1));
   };
 }
 Sky grey(float value) {
@@ -71,13 +72,14 @@ capture::Frame frame_of(int camera, Image<Rgb> pixels, double seconds = 0) {
 }
 
 RadianceSh truth_of(const Sky& sky) {
-  Image<Rgb> map(kWidth, kHeight);
-  for (int y = 0; y < kHeight; ++y)
-    for (int x = 0; x < kWidth; ++x)
-      map.at(x, y) = sky(latlong_direction(x + .5, y + .5, kWidth, kHeight));
+  Image<Rgb> map(kViewWidth, kViewHeight);
+  for (int y = 0; y < kViewHeight; ++y)
+    for (int x = 0; x < kViewWidth; ++x)
+      map.at(x, y) = sky(latlong_direction(x + .5, y + .5, kViewWidth, kViewHeight));
   StageTimes times;
   CameraInfo camera;
-  camera.projection = *calib::make_projection(calib::ProjectionKind::kLatLong, kWidth, kHeight);
+  camera.projection =
+      *calib::make_projection(calib::ProjectionKind::kLatLong, kViewWidth, kViewHeight);
   auto stage = *LightEstimationStage::create({camera}, {3, {0, .02}}, times);
   return stage.process(frame_of(0, map))->light;
 }

@@ -9,7 +9,7 @@
 namespace penumbra::shadows {
 namespace {
 
-struct World {
+struct LampWorld {
   prt::RayWorld rays = *prt::RayWorld::create();
   RayOccluders occluders() const { return {&rays, nullptr, 1e-4f}; }
 };
@@ -17,7 +17,7 @@ struct World {
 const prt::Plane kFloor;
 
 TEST(Lamp, OpenFloorFollowsTheClosedForm) {
-  const World world;
+  const LampWorld world;
   const Lamp lamp{{.3, .8, -.2}, .01, {1, 1, 1}};
   ShadowMap map;
   const float largest = trace_lamp_map(world.occluders(), kFloor, lamp, 8, map);
@@ -35,7 +35,7 @@ TEST(Lamp, OpenFloorFollowsTheClosedForm) {
 }
 
 TEST(Lamp, BehindTheFloorOrInItGivesNothing) {
-  const World world;
+  const LampWorld world;
   ShadowMap map;
   for (const double height : {-.5, 0., .01}) {
     EXPECT_EQ(trace_lamp_map(world.occluders(), kFloor, {{0, height, 0}, .02, {1, 1, 1}}, 8, map),
@@ -47,7 +47,7 @@ TEST(Lamp, BehindTheFloorOrInItGivesNothing) {
 TEST(Lamp, PenumbraFollowsSimilarTriangles) {
   // A half plane at height h below a lamp of radius r at height H: the penumbra is 2 r h/(H - h)
   // wide.
-  World world;
+  LampWorld world;
   constexpr double kLamp = 1, kEdge = .4, kRadius = .1;
   prt::Mesh half;
   half.positions = {{0, kEdge, -9}, {0, kEdge, 9}, {9, kEdge, 9}, {9, kEdge, -9}};
@@ -60,7 +60,7 @@ TEST(Lamp, PenumbraFollowsSimilarTriangles) {
   for (int i = -400; i <= 400; ++i) points.emplace_back(i * 5e-4f, 0, 0);
   normals.assign(points.size(), {0, 1, 0});
   std::vector<float> open(points.size()), seen(points.size());
-  trace_lamp_points(World().occluders(), points, normals, lamp, 64, open);
+  trace_lamp_points(LampWorld().occluders(), points, normals, lamp, 64, open);
   trace_lamp_points(world.occluders(), points, normals, lamp, 64, seen);
   double first = 1, last = -1;
   for (std::size_t i = 0; i < points.size(); ++i) {
@@ -74,7 +74,7 @@ TEST(Lamp, PenumbraFollowsSimilarTriangles) {
 }
 
 TEST(Lamp, BlockersBeyondTheLampDoNotCount) {
-  World world;
+  LampWorld world;
   prt::Mesh lid = prt::make_box({-5, 2, -5}, {5, 2.1f, 5}, 1, {.5f, .5f, .5f});
   (void)*world.rays.add(lid);
   const std::vector<glm::vec3> point{{0, 0, 0}}, normal{{0, 1, 0}};
@@ -86,7 +86,7 @@ TEST(Lamp, BlockersBeyondTheLampDoNotCount) {
 }
 
 TEST(Lamp, PointInsideTheLampStaysFinite) {
-  const World world;
+  const LampWorld world;
   const std::vector<glm::vec3> point{{0, 1, 0}}, normal{{0, 1, 0}};
   float value = 0;
   trace_lamp_points(world.occluders(), point, normal, {{0, 1, 0}, 0, {1, 1, 1}}, 4, {&value, 1});

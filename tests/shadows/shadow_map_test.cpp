@@ -18,7 +18,7 @@ namespace {
 using glm::dvec3;
 
 constexpr float kNear = 1e-4f;
-const prt::Plane kFloor{{.1, 0, .05}, {0, 1, 0}, {}, {}};
+const prt::Plane kMapFloor{{.1, 0, .05}, {0, 1, 0}, {}, {}};
 
 Pose world_of(double tilt, const dvec3& shift) {
   return {glm::angleAxis(tilt, glm::normalize(dvec3(1, .2, .5))), shift};
@@ -46,7 +46,7 @@ std::vector<Thing> nothing() {
   return {};
 }
 
-prt::Mesh knot() {
+prt::Mesh map_knot() {
   return prt::make_knot(.5f, 160, 24, {.5f, .5f, .5f});
 }
 
@@ -89,11 +89,11 @@ std::vector<Thing> sunk() {
 }
 
 std::vector<Thing> tilted() {
-  return one(knot(), {glm::angleAxis(1.1, glm::normalize(dvec3(1, .3, -.4))), {.2, .3, -.1}});
+  return one(map_knot(), {glm::angleAxis(1.1, glm::normalize(dvec3(1, .3, -.4))), {.2, .3, -.1}});
 }
 
 std::vector<Thing> two() {
-  return {{knot(), {}},
+  return {{map_knot(), {}},
           {prt::make_box({-.1f, 0, -.1f}, {.1f, .6f, .1f}, 2, {}), {{1, 0, 0, 0}, {.4, 0, .1}}}};
 }
 
@@ -210,8 +210,8 @@ TEST_P(ShadowOnPlane, IsWhatRaysFind) {
   const Scene virtual_things(s.virtual_things(), world), real_things(s.real_things(), world);
   lighting::DistantLight source = distant_light_of(s);
   source.direction = world.rotation * source.direction;
-  const prt::Plane floor{world * (kFloor.point + s.plane_off * dvec3(1, 0, .3)),
-                         world.rotation * kFloor.normal,
+  const prt::Plane floor{world * (kMapFloor.point + s.plane_off * dvec3(1, 0, .3)),
+                         world.rotation * kMapFloor.normal,
                          {},
                          {}};
   ShadowMap shadow;
@@ -249,7 +249,7 @@ float at(const ShadowMap& shadow, const dvec3& world) {
 // A wide lamp that brings little is drawn with fewer directions and cells: its error counts by
 // what it brings.
 TEST(ShadowMap, AWeakLampIsDrawnAsWellAsItsShareNeeds) {
-  const Scene scene(one(knot()));
+  const Scene scene(one(map_knot()));
   lighting::DistantLight window = distant_light_of({"", {}, {}, 40, 3});
   const dvec3 side = glm::normalize(glm::cross(window.direction, dvec3(0, 1, 0)));
   for (int i = 0; i < 64; ++i)
@@ -258,7 +258,7 @@ TEST(ShadowMap, AWeakLampIsDrawnAsWellAsItsShareNeeds) {
     SCOPED_TRACE(lamp.shape.size());
     const auto drawn = [&](const ShadowMapOptions& options) {
       ShadowMap out;
-      render_shadow_map({scene.casters(), {}, kNear}, kFloor, lamp, options, out);
+      render_shadow_map({scene.casters(), {}, kNear}, kMapFloor, lamp, options, out);
       return out;
     };
     const ShadowMap truth = drawn({16, 1024});
@@ -285,7 +285,7 @@ TEST(ShadowMap, AWeakLampIsDrawnAsWellAsItsShareNeeds) {
     EXPECT_LT(.25 * error(weak), error(strong) + .002);
   }
   ShadowMap fewest;
-  render_shadow_map({scene.casters(), {}, kNear}, kFloor, distant_light_of({"", {}, {}, 40, 10}),
+  render_shadow_map({scene.casters(), {}, kNear}, kMapFloor, distant_light_of({"", {}, {}, 40, 10}),
                     {1, 16, .25}, fewest);
   EXPECT_FALSE(fewest.empty());
 }
@@ -293,7 +293,7 @@ TEST(ShadowMap, AWeakLampIsDrawnAsWellAsItsShareNeeds) {
 // What lights by a form casts shadows by sixteen of its directions where it is small in every
 // direction, by all 64 where not.
 TEST(ShadowMap, AFormTakesTheDirectionsThatItsReachNeeds) {
-  const Scene scene(one(knot())), nobody({});
+  const Scene scene(one(map_knot())), nobody({});
   for (const auto& [half_length, directions] : {std::pair(.03, 16), {.2, 64}}) {
     lighting::DistantLight source = distant_light_of({"", {}, {}, 40, 1});
     const dvec3 side = glm::normalize(glm::cross(source.direction, dvec3(0, 1, 0)));
@@ -301,9 +301,9 @@ TEST(ShadowMap, AFormTakesTheDirectionsThatItsReachNeeds) {
       source.shape.push_back(
           glm::normalize(source.direction + half_length * ((i + .5) / 32 - 1) * side));
     ShadowMap shadow;
-    render_shadow_map({scene.casters(), {}, kNear}, kFloor, source, {16, 128}, shadow);
-    const Wrong found = compare(shadow, scene, nobody, kFloor.normal, source, directions),
-                other = compare(shadow, scene, nobody, kFloor.normal, source, 80 - directions);
+    render_shadow_map({scene.casters(), {}, kNear}, kMapFloor, source, {16, 128}, shadow);
+    const Wrong found = compare(shadow, scene, nobody, kMapFloor.normal, source, directions),
+                other = compare(shadow, scene, nobody, kMapFloor.normal, source, 80 - directions);
     EXPECT_GT(found.dark, found.nodes / 50);
     EXPECT_LT(found.wrong, found.nodes / 200) << half_length;
     EXPECT_GT(other.wrong, found.nodes / 50) << half_length;
@@ -313,22 +313,22 @@ TEST(ShadowMap, AFormTakesTheDirectionsThatItsReachNeeds) {
 INSTANTIATE_TEST_SUITE_P(
     Of, ShadowOnPlane,
     testing::Values(
-        Setting{"knot", [] { return one(knot()); }, nothing},
-        Setting{"knot_wide", [] { return one(knot()); }, nothing, 40, 12},
-        Setting{"knot_at_sunset", [] { return one(knot()); }, nothing, 14},
-        Setting{"knot_under_zenith", [] { return one(knot()); }, nothing, 90, 5},
+        Setting{"map_knot", [] { return one(map_knot()); }, nothing},
+        Setting{"knot_wide", [] { return one(map_knot()); }, nothing, 40, 12},
+        Setting{"knot_at_sunset", [] { return one(map_knot()); }, nothing, 14},
+        Setting{"knot_under_zenith", [] { return one(map_knot()); }, nothing, 90, 5},
         Setting{"tilted", tilted, nothing}, Setting{"two", two, nothing, 30, 3},
         Setting{"bowl", [] { return one(bowl()); }, nothing},
-        Setting{"mixed_up", [] { return one(mixed_up(knot())); }, nothing},
-        Setting{"shattered", [] { return one(shattered(knot())); }, nothing},
-        Setting{"few_samples", [] { return one(knot()); }, nothing, 40, .3, 5},
-        Setting{"one_tap", [] { return one(knot()); }, nothing, 40, 2, 1},
-        Setting{"samples_in_three_groups", [] { return one(knot()); }, nothing, 40, 8, 10},
-        Setting{"low_disc", [] { return one(knot()); }, nothing, 21, 7},
+        Setting{"mixed_up", [] { return one(mixed_up(map_knot())); }, nothing},
+        Setting{"shattered", [] { return one(shattered(map_knot())); }, nothing},
+        Setting{"few_samples", [] { return one(map_knot()); }, nothing, 40, .3, 5},
+        Setting{"one_tap", [] { return one(map_knot()); }, nothing, 40, 2, 1},
+        Setting{"samples_in_three_groups", [] { return one(map_knot()); }, nothing, 40, 8, 10},
+        Setting{"low_disc", [] { return one(map_knot()); }, nothing, 21, 7},
         Setting{"plane_tilted", two, nothing, 40, .3, 16, .7},
         Setting{"world_far_away", two, nothing, 40, .3, 16, .7, {300, -50, 200}},
         Setting{"point_of_the_plane_far_away", two, nothing, 40, .3, 16, .7, {0, 0, 0}, 300},
-        Setting{"penumbra_from_aside", [] { return one(knot()); }, slab_aside, 40, 12},
+        Setting{"penumbra_from_aside", [] { return one(map_knot()); }, slab_aside, 40, 12},
         Setting{"wall", two, real_posts, 40, 5, 16, kPi / 2},
         Setting{"coarse_box", coarse_box, nothing}, Setting{"corner", corner, nothing},
         Setting{"sunk", sunk, nothing}, Setting{"sunk_wide", sunk, nothing, 40, 12},
@@ -337,27 +337,27 @@ INSTANTIATE_TEST_SUITE_P(
     [](const auto& p) { return p.param.name; });
 
 TEST(ShadowOnPlane, FollowsAnotherForm) {
-  prt::Mesh mesh = knot();
+  prt::Mesh mesh = map_knot();
   SilhouetteMesh silhouette(mesh);
   const Caster caster{&mesh, &silhouette, {}};
   const lighting::DistantLight source = distant_light_of({});
   ShadowMap moved, fresh;
   prt::transform(mesh, glm::rotate(glm::dmat4(1), .8, dvec3(0, 1, 0)));
   silhouette.update_vertices(mesh);
-  render_shadow_map({{&caster, 1}, {}, kNear}, kFloor, source, {}, moved);
+  render_shadow_map({{&caster, 1}, {}, kNear}, kMapFloor, source, {}, moved);
   const SilhouetteMesh other(mesh);
   const Caster again{&mesh, &other, {}};
-  render_shadow_map({{&again, 1}, {}, kNear}, kFloor, source, {}, fresh);
+  render_shadow_map({{&again, 1}, {}, kNear}, kMapFloor, source, {}, fresh);
   ASSERT_EQ(moved.virtual_occlusion.area(), fresh.virtual_occlusion.area());
   EXPECT_TRUE(
       std::ranges::equal(moved.virtual_occlusion.pixels(), fresh.virtual_occlusion.pixels()));
 }
 
 TEST(ShadowOnPlane, OfALightThatSetsOnlyTheUpperPartCounts) {
-  const Scene scene(one(knot()));
+  const Scene scene(one(map_knot()));
   ShadowMap shadow;
-  render_shadow_map({scene.casters(), {}, kNear}, kFloor, distant_light_of({"", {}, {}, 2, 6}), {},
-                    shadow);
+  render_shadow_map({scene.casters(), {}, kNear}, kMapFloor, distant_light_of({"", {}, {}, 2, 6}),
+                    {}, shadow);
   ASSERT_FALSE(shadow.empty());
   const auto [smallest, largest] = std::ranges::minmax(shadow.virtual_occlusion.pixels());
   EXPECT_EQ(smallest, 0);
@@ -367,12 +367,12 @@ TEST(ShadowOnPlane, OfALightThatSetsOnlyTheUpperPartCounts) {
 // All of its light is thrown as if it came from 1.15 degrees: by silhouettes that are not those of
 // the light itself.
 TEST(ShadowOnPlane, OfASunAtTheHorizonIsWhole) {
-  const Scene scene(one(knot()));
+  const Scene scene(one(map_knot()));
   ShadowMap at_horizon, higher;
-  render_shadow_map({scene.casters(), {}, kNear}, kFloor, distant_light_of({"", {}, {}, .25, .2}),
-                    {}, at_horizon);
-  render_shadow_map({scene.casters(), {}, kNear}, kFloor, distant_light_of({"", {}, {}, 1.146, .2}),
-                    {}, higher);
+  render_shadow_map({scene.casters(), {}, kNear}, kMapFloor,
+                    distant_light_of({"", {}, {}, .25, .2}), {}, at_horizon);
+  render_shadow_map({scene.casters(), {}, kNear}, kMapFloor,
+                    distant_light_of({"", {}, {}, 1.146, .2}), {}, higher);
   ASSERT_EQ(at_horizon.virtual_occlusion.width(), higher.virtual_occlusion.width());
   ASSERT_EQ(at_horizon.virtual_occlusion.height(), higher.virtual_occlusion.height());
   double difference = 0;
@@ -383,30 +383,31 @@ TEST(ShadowOnPlane, OfASunAtTheHorizonIsWhole) {
 }
 
 TEST(ShadowOnPlane, ALightBelowTheHorizonThrowsNone) {
-  const Scene scene(one(knot()));
+  const Scene scene(one(map_knot()));
   ShadowMap shadow;
-  render_shadow_map({scene.casters(), {}, kNear}, kFloor, distant_light_of({"", {}, {}, -3}), {},
+  render_shadow_map({scene.casters(), {}, kNear}, kMapFloor, distant_light_of({"", {}, {}, -3}), {},
                     shadow);
   EXPECT_TRUE(shadow.empty());
 }
 
 TEST(ShadowOnPlane, WhatIsBelowThePlaneThrowsNone) {
-  const Thing above{knot(), {}}, below{knot(), {{1, 0, 0, 0}, {.1, -2, 0}}};
+  const Thing above{map_knot(), {}}, below{map_knot(), {{1, 0, 0, 0}, {.1, -2, 0}}};
   ShadowMap alone, both;
-  render_shadow_map({Scene({below}).casters(), {}, kNear}, kFloor, distant_light_of({}), {}, alone);
+  render_shadow_map({Scene({below}).casters(), {}, kNear}, kMapFloor, distant_light_of({}), {},
+                    alone);
   EXPECT_TRUE(alone.empty());
   const Scene one_thing({above}), two_things({above, below});
-  render_shadow_map({one_thing.casters(), {}, kNear}, kFloor, distant_light_of({}), {}, alone);
-  render_shadow_map({two_things.casters(), {}, kNear}, kFloor, distant_light_of({}), {}, both);
+  render_shadow_map({one_thing.casters(), {}, kNear}, kMapFloor, distant_light_of({}), {}, alone);
+  render_shadow_map({two_things.casters(), {}, kNear}, kMapFloor, distant_light_of({}), {}, both);
   EXPECT_TRUE(
       std::ranges::equal(alone.virtual_occlusion.pixels(), both.virtual_occlusion.pixels()));
 }
 
 TEST(ShadowOnPlane, ObjectsFarApartHaveMapsOfTheirOwn) {
-  const Scene near_and_far({{knot(), {}}, {knot(), {{1, 0, 0, 0}, {5, 0, 1}}}}), none({});
+  const Scene near_and_far({{map_knot(), {}}, {map_knot(), {{1, 0, 0, 0}, {5, 0, 1}}}}), none({});
   const lighting::DistantLight source = distant_light_of({});
   std::vector<ShadowMap> maps;
-  render_shadow_maps({near_and_far.casters(), {}, kNear}, kFloor, source, {16, 128}, maps);
+  render_shadow_maps({near_and_far.casters(), {}, kNear}, kMapFloor, source, {16, 128}, maps);
   ASSERT_EQ(maps.size(), 2u);
   for (const ShadowMap& map : maps) {
     const Wrong found = compare(map, near_and_far, none, {0, 1, 0}, source, 16);
@@ -421,7 +422,7 @@ TEST(ShadowOnPlane, OfRealThingsIsWhatRaysFind) {
     const lighting::DistantLight source = distant_light_of({"", {}, {}, 40, radius_deg});
     ShadowMap shadow;
     const Neighbourhood around{{0, .2, 0}, 1.2};
-    render_real_shadow_map({{}, posts.casters(), kNear}, {&around, 1}, kFloor, source, {16, 128},
+    render_real_shadow_map({{}, posts.casters(), kNear}, {&around, 1}, kMapFloor, source, {16, 128},
                            shadow);
     ASSERT_FALSE(shadow.empty());
     const Wrong found = compare(shadow, posts, none, {0, 1, 0}, source, is_wide(source) ? 64 : 16);
@@ -434,7 +435,7 @@ TEST(SilhouetteMesh, KnowsRimsSeamsAndWrongTurns) {
   const auto open = [](const SilhouetteMesh& o) {
     return std::ranges::count(o.edges(), SilhouetteMesh::kOpen, &SilhouetteMesh::Edge::right);
   };
-  const prt::Mesh closed = knot();
+  const prt::Mesh closed = map_knot();
   const SilhouetteMesh whole(closed);
   EXPECT_EQ(open(whole), 0);
   EXPECT_EQ(2 * whole.edges().size(), 3 * whole.triangles().size());
@@ -481,7 +482,7 @@ TEST(SilhouetteMesh, ASimplifiedOneThrowsTheSameShadow) {
     Setting s;
     s.radius_deg = radius_deg;
     ShadowMap out;
-    render_shadow_map({{&caster, 1}, {}, kNear}, kFloor, distant_light_of(s), {}, out);
+    render_shadow_map({{&caster, 1}, {}, kNear}, kMapFloor, distant_light_of(s), {}, out);
     return out;
   };
   for (const double radius_deg : {.3, 3., 12.}) {

@@ -8,7 +8,7 @@
 namespace penumbra::shadows {
 namespace {
 
-constexpr Rgb kWhite{1, 1, 1};
+constexpr Rgb kWhiteLight{1, 1, 1};
 constexpr float kRadius = .4f;
 
 prt::BakedObject baked(const prt::Mesh& mesh) {
@@ -48,7 +48,7 @@ double ratio_at(const prt::BakedObject& object, const PlanarShadow& shadow, cons
 }
 
 TEST(CombinedShadow, EqualObjectsInOnePlaceDarkenOnce) {
-  const PlanarShadow alone = shadow_of(sphere(), test::constant_light(kWhite, 5));
+  const PlanarShadow alone = shadow_of(sphere(), test::constant_light(kWhiteLight, 5));
   PlanarShadow second = alone;
   combine_shadows({&sphere(), {}, &alone}, {&sphere(), {}, &alone}, second);
   double worst = 0, naive = 0;
@@ -63,7 +63,7 @@ TEST(CombinedShadow, EqualObjectsInOnePlaceDarkenOnce) {
 }
 
 TEST(CombinedShadow, TurningOneOfTwoEqualSpheresChangesNothing) {
-  const RadianceSh light = test::constant_light(kWhite, 5);
+  const RadianceSh light = test::constant_light(kWhiteLight, 5);
   const PlanarShadow alone = shadow_of(sphere(), light);
   const Pose turned{glm::angleAxis(.7, glm::dvec3(0, 1, 0)), {0, 0, 0}};
   PlanarShadow second = alone;
@@ -81,7 +81,7 @@ TEST(CombinedShadow, TurningOneOfTwoEqualSpheresChangesNothing) {
 
 // Two spheres side by side against rays through both; the bound and the plain product beside it.
 TEST(CombinedShadow, NeighboursAreCloserToTheTruthThanTheProduct) {
-  const RadianceSh light = test::constant_light(kWhite, 5);
+  const RadianceSh light = test::constant_light(kWhiteLight, 5);
   const PlanarShadow alone = shadow_of(sphere(), light);
   const Pose a{}, b{{1, 0, 0, 0}, {.5, 0, .1}};  // they reach into each other
   PlanarShadow second = alone;

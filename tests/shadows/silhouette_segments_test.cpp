@@ -17,13 +17,13 @@
 namespace penumbra::shadows {
 namespace {
 
-prt::Mesh knot() {
+prt::Mesh outlined_knot() {
   return prt::make_knot(.5f, 120, 20, {.5f, .5f, .5f});
 }
 
 // Triangles without area among others: they face nothing.
 prt::Mesh with_slivers() {
-  prt::Mesh m = knot();
+  prt::Mesh m = outlined_knot();
   for (std::size_t t = 0; t < m.triangles.size(); t += 37) {
     const auto [a, b, c] = m.triangles[t];
     m.positions[c] = .5f * (m.positions[a] + m.positions[b]);
@@ -32,7 +32,7 @@ prt::Mesh with_slivers() {
 }
 
 prt::Mesh bumpy() {
-  prt::Mesh m = knot();
+  prt::Mesh m = outlined_knot();
   std::mt19937 random(3);
   std::normal_distribution<float> noise(0, .004f);
   for (glm::vec3& p : m.positions) p += glm::vec3(noise(random), noise(random), noise(random));
@@ -40,7 +40,7 @@ prt::Mesh bumpy() {
 }
 
 prt::Mesh bowl() {
-  prt::Mesh m = knot();
+  prt::Mesh m = outlined_knot();
   m.triangles.resize(m.triangles.size() / 3);
   return m;
 }
@@ -101,7 +101,7 @@ std::size_t silhouette_edges(const prt::Mesh& mesh, std::span<const PlaneSample>
 }
 
 TEST(SilhouetteSegments, PatchesLeaveNothingOut) {
-  for (const prt::Mesh& mesh : {knot(), with_slivers(), bumpy(), bowl()})
+  for (const prt::Mesh& mesh : {outlined_knot(), with_slivers(), bumpy(), bowl()})
     for (const double turn : {0., 1.1, 2.5, 4.})
       for (const double spread : {0., .01, .3, 3.}) {
         const auto directions = samples(turn, spread, spread > 0 ? 16 : 1);
@@ -115,7 +115,7 @@ TEST(SilhouetteSegments, PatchesLeaveNothingOut) {
 }
 
 TEST(SilhouetteSegments, EveryTriangleThatGoesThroughThePlaneEndsThereOnce) {
-  for (const prt::Mesh& mesh : {knot(), bumpy(), bowl()}) {
+  for (const prt::Mesh& mesh : {outlined_knot(), bumpy(), bowl()}) {
     std::size_t through_all = 0;
     for (const double height : {.013, .1, .251, .4}) {
       const auto directions = samples(.4, 0, 1);
@@ -152,7 +152,7 @@ std::size_t loose_ends(const prt::Mesh& mesh, double height_m,
 }
 
 TEST(SilhouetteSegments, OfClosedMeshesCloseForEveryDirection) {
-  for (const prt::Mesh& mesh : {knot(), bumpy()})
+  for (const prt::Mesh& mesh : {outlined_knot(), bumpy()})
     for (const double turn : {0., 1.1, 2.5})
       for (const double spread : {.005, .3})
         for (const double height : {-1., .2})
@@ -178,7 +178,7 @@ TEST(SilhouetteSegments, OfAFaceSeenEdgeOnClose) {
 }
 
 TEST(SilhouetteSegments, PatchesFollowAnotherForm) {
-  prt::Mesh mesh = knot();
+  prt::Mesh mesh = outlined_knot();
   SilhouetteMesh silhouette(mesh);
   for (glm::vec3& p : mesh.positions) p = {p.z, p.x + .4f, p.y};
   silhouette.update_vertices(mesh);

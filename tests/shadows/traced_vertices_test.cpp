@@ -29,7 +29,7 @@ lighting::DistantLight sun(double elevation_deg, double radius_deg = .3) {
   return d;
 }
 
-prt::Mesh knot() {
+prt::Mesh traced_knot() {
   return prt::make_knot(.5f, 240, 40, {.5f, .5f, .5f});
 }
 
@@ -43,8 +43,8 @@ std::vector<glm::vec3> averaged_normals(const prt::Mesh& m) {
   return out;
 }
 
-struct World : test::CasterWorld {
-  explicit World(std::vector<prt::Mesh> all) : CasterWorld(std::move(all), kNear) {}
+struct TracedWorld : test::CasterWorld {
+  explicit TracedWorld(std::vector<prt::Mesh> all) : CasterWorld(std::move(all), kNear) {}
   std::vector<float> shared_light(const lighting::DistantLight& source) const {
     return light(source, casters[0], &rays);
   }
@@ -71,7 +71,7 @@ struct World : test::CasterWorld {
 TEST(TracedVertices, GivesWhatARayForEachVertexGives) {
   for (const double elevation : {12., 40., 75., 90.})
     for (const double radius : {.05, .3, 2., 5., 8.}) {
-      const World world({knot()});
+      const TracedWorld world({traced_knot()});
       const lighting::DistantLight source = sun(elevation, radius);
       // At the terminator one ray alone may lie below the surface where others of the light do not.
       // One ray for what is not at an edge, where many have rays of their own: a sample is missing
@@ -99,7 +99,7 @@ TEST(TracedVertices, KnowsWhatStandsFarAway) {
       for (const double turn : {0., 1.3, 1.82, 4.}) {
         const dvec3 centre =
             c.far_m * source.direction + off * dvec3(std::cos(turn), 0, std::sin(turn));
-        const World world({sheet(60), prt::make_sphere(glm::vec3(centre), c.ball_m, 3, {})});
+        const TracedWorld world({sheet(60), prt::make_sphere(glm::vec3(centre), c.ball_m, 3, {})});
         EXPECT_LE(world.different(source), 4u)
             << c.far_m << " m, " << c.radius_deg << " deg, aside " << off << ", " << turn;
       }
@@ -113,7 +113,7 @@ TEST(TracedVertices, KnowsHowFarAFormReaches) {
   for (int i = 0; i < 64; ++i)
     window.shape.push_back(glm::normalize(window.direction + (i / 63. - .5) * .28 * side));
   const prt::Mesh wire = prt::make_box({-.003f, .3f, -.9f}, {.003f, .306f, .9f}, 1, {});
-  for (const World& world : {World({knot()}), World({sheet(60), wire})}) {
+  for (const TracedWorld& world : {TracedWorld({traced_knot()}), TracedWorld({sheet(60), wire})}) {
     EXPECT_LE(world.different(window), 4u);
   }
 }
@@ -122,7 +122,7 @@ TEST(TracedVertices, KnowsHowFarAFormReaches) {
 TEST(TracedVertices, FindsTheShadowOfAWire) {
   prt::Mesh wire = prt::make_box({-.003f, .3f, -.9f}, {.003f, .306f, .9f}, 1, {});
   prt::transform(wire, glm::rotate(glm::dmat4(1), .3, dvec3(0, 1, 0)));
-  const World world({sheet(100), wire});
+  const TracedWorld world({sheet(100), wire});
   const lighting::DistantLight source = sun(60, .05);
   EXPECT_LE(world.different(source), 2u);
   const auto light = world.shared_light(source);
@@ -135,7 +135,7 @@ TEST(TracedVertices, SeesWhereSurfacesCutThroughEachOther) {
   prt::Mesh slanted = sheet(20);
   prt::transform(slanted,
                  glm::rotate(glm::scale(glm::dmat4(1), dvec3(3, 1, 3)), .5, dvec3(0, 0, 1)));
-  const World world({sheet(60), slanted});
+  const TracedWorld world({sheet(60), slanted});
   const lighting::DistantLight source = sun(80);
   const auto light = world.shared_light(source);
   const auto dark = std::ranges::count_if(light, [](float l) { return l == 0; });
@@ -151,7 +151,7 @@ TEST(TracedVertices, ASmallStepThatIsTurnedAwayIsDarkAtItsFoot) {
   const auto height = [](float x) { return x < 0 ? 0.f : std::min(x, 1 / 6.f); };
   for (glm::vec3& p : step.positions) p = {p.x, height(p.x), p.z};
   step.normals = averaged_normals(step);
-  const World world({step});
+  const TracedWorld world({step});
   for (const double elevation : {36., 38., 40., 42., 44.}) {
     EXPECT_LE(world.different(sun(elevation)), 2u) << elevation;
   }
@@ -160,7 +160,7 @@ TEST(TracedVertices, ASmallStepThatIsTurnedAwayIsDarkAtItsFoot) {
 // What is kept of one light's silhouettes is not taken for another pose, plane or light: as with a
 // silhouette for each object and no cache.
 TEST(ShadowMap, ACacheOfSilhouettesChangesNothing) {
-  World world({knot(), knot()});
+  TracedWorld world({traced_knot(), traced_knot()});
   world.casters[1].world_from_mesh = {glm::angleAxis(1.2, dvec3(0, 0, 1)), {.3, .2, .9}};
   world.rays.set_pose(1, world.casters[1].world_from_mesh);
   std::vector<Caster> one_outline = world.casters;
@@ -186,7 +186,7 @@ TEST(ShadowMap, ACacheOfSilhouettesChangesNothing) {
 // Of a sun that sets behind the plane on which an object stands half is left, for every vertex in
 // front.
 TEST(TracedVertices, OfASettingSunEveryVertexHasItsPart) {
-  const World world({prt::make_sphere({0, 1, 0}, .5f, 4, {})});
+  const TracedWorld world({prt::make_sphere({0, 1, 0}, .5f, 4, {})});
   const prt::Plane plane;
   const lighting::DistantLight source = sun(0, 2);
   std::vector<float> half(world.meshes[0].positions.size()), whole(half.size());
@@ -206,7 +206,7 @@ TEST(TracedVertices, OfASettingSunEveryVertexHasItsPart) {
 TEST(TracedVertices, PointsWithoutTrianglesSeeForThemselves) {
   prt::Mesh points = sheet(10);
   points.triangles.resize(100);  // half of them
-  const World world({points, knot()});
+  const TracedWorld world({points, traced_knot()});
   EXPECT_EQ(world.different(sun(50)), 0u);
 }
 
@@ -231,7 +231,7 @@ double rmse(const std::vector<float>& a, const std::vector<float>& b) {
 
 // A sun behind haze: rays at its penumbras alone are as good as rays at every vertex.
 TEST(TracedVertices, ASmallFormIsNarrow) {
-  const World world({prt::make_knot(.5f, 480, 80, {.5f, .5f, .5f})});
+  const TracedWorld world({prt::make_knot(.5f, 480, 80, {.5f, .5f, .5f})});
   const lighting::DistantLight source = form(40, .008, .02);
   ASSERT_FALSE(is_wide(source));
   const std::vector<float> ours = world.shared_light(source),
@@ -244,7 +244,7 @@ TEST(TracedVertices, ASmallFormIsNarrow) {
 // Low over the plane on which the object stands, lying or upright: what is behind the plane brings
 // nothing.
 TEST(TracedVertices, ASmallFormSetsInParts) {
-  const World world({prt::make_sphere({0, .6f, 0}, .5f, 5, {})});
+  const TracedWorld world({prt::make_sphere({0, .6f, 0}, .5f, 5, {})});
   const prt::Plane floor;
   const auto light = [&](const Caster& object, const lighting::DistantLight& source, int samples) {
     std::vector<float> out(world.points.positions.size());
@@ -265,7 +265,7 @@ TEST(TracedVertices, ASmallFormSetsInParts) {
 // A long window: four rays a vertex, averaged with those of its neighbours, ask all of it. (The
 // first has .030 if the groups of its directions keep step, .018 if there are no groups.)
 TEST(TracedVertices, NeighboursAskOtherPartsOfAForm) {
-  const World world({prt::make_knot(.5f, 480, 80, {.5f, .5f, .5f})});
+  const TracedWorld world({prt::make_knot(.5f, 480, 80, {.5f, .5f, .5f})});
   for (const auto& [across, along] : {std::pair(.08, .3), {.25, .1}}) {
     const lighting::DistantLight source = form(50, across, along);
     ASSERT_TRUE(is_wide(source));
@@ -278,7 +278,7 @@ TEST(TracedVertices, NeighboursAskOtherPartsOfAForm) {
 // One sample: as a point in the light's middle lights, at every vertex, however wide the penumbra
 // would be.
 TEST(TracedVertices, OneSampleThrowsHardShadows) {
-  const World world({knot()});
+  const TracedWorld world({traced_knot()});
   const auto light = [&](const Caster& object, const lighting::DistantLight& of, int samples) {
     std::vector<float> out(world.points.positions.size());
     trace_direct_light({&world.rays, nullptr, kNear}, {world.casters, {}, kNear}, object, nullptr,
@@ -304,7 +304,7 @@ TEST(TracedVertices, OneSampleThrowsHardShadows) {
 
 // A sun of which a little more or less than half stands over the plane.
 TEST(TracedVertices, OneSampleOfASettingSunIsAllOrNothing) {
-  const World world({prt::make_sphere({0, 1, 0}, .5f, 4, {})});
+  const TracedWorld world({prt::make_sphere({0, 1, 0}, .5f, 4, {})});
   const prt::Plane plane;
   std::vector<float> out(world.meshes[0].positions.size());
   for (const double radius_deg : {2., 15.})
@@ -317,7 +317,7 @@ TEST(TracedVertices, OneSampleOfASettingSunIsAllOrNothing) {
 }
 
 TEST(TracedVertices, FollowsThePoseOfAnObject) {
-  World world({knot()});
+  TracedWorld world({traced_knot()});
   const Pose pose{glm::angleAxis(.9, glm::normalize(dvec3(.2, 1, .4))), {3, 1, -2}};
   world.rays.set_pose(0, pose);
   world.casters.front().world_from_mesh = pose;

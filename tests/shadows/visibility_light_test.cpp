@@ -50,7 +50,7 @@ lighting::DistantLight strip(double elevation_deg) {
 }
 
 // An object in some pose, alone or with another thing.
-struct World {
+struct VisibilityWorld {
   prt::BakedObject object;
   prt::VisibilityLookup lookup{object.visibility, object.mesh};
   SilhouetteMesh silhouette{object.mesh}, nobody;
@@ -62,7 +62,7 @@ struct World {
   std::optional<Pose> ball_at;
   static constexpr float kNear = 3e-5f;
 
-  explicit World(prt::Mesh mesh = prt::make_knot(.5f, 160, 32, {.5f, .5f, .5f}))
+  explicit VisibilityWorld(prt::Mesh mesh = prt::make_knot(.5f, 160, 32, {.5f, .5f, .5f}))
       : object(baked(std::move(mesh))) {
     points.triangles.clear();
   }
@@ -98,8 +98,8 @@ struct World {
     return out;
   }
 };
-const World& knot_world() {
-  static const World world;
+const VisibilityWorld& knot_world() {
+  static const VisibilityWorld world;
   return world;
 }
 
@@ -115,7 +115,7 @@ double error(const std::vector<float>& is, const std::vector<float>& should_be) 
 }
 
 TEST(VisibilityLight, WideLightsAreLookedUpAsWellAsRaysFind) {
-  const World& world = knot_world();
+  const VisibilityWorld& world = knot_world();
   for (const lighting::DistantLight& d :
        {source(50, .17), source(20, .3), source(80, .9), strip(35)}) {
     SCOPED_TRACE(testing::Message() << d.radius.value() << ' ' << d.shape.size());
@@ -131,7 +131,7 @@ TEST(VisibilityLight, WideLightsAreLookedUpAsWellAsRaysFind) {
 // So are lamps of a few degrees, in finer cells. (At sharp edges of shadows rays are better, in
 // wide ones look-ups.)
 TEST(VisibilityLight, LampsAreLookedUpInFinerCells) {
-  const World& world = knot_world();
+  const VisibilityWorld& world = knot_world();
   for (const lighting::DistantLight& d : {source(50, .06), source(25, .078), source(40, .04)}) {
     SCOPED_TRACE(d.radius.value());
     ASSERT_EQ(world.use(d), LookupUse::kFine);
@@ -155,7 +155,7 @@ TEST(VisibilityLight, LampsAreLookedUpInFinerCells) {
 // Cells are too large to tell how much of such a light is seen, but not where all of it is, or
 // nothing.
 TEST(VisibilityLight, SmallerLightsAskRaysWhereTheVisibilityIsMixed) {
-  const World& world = knot_world();
+  const VisibilityWorld& world = knot_world();
   for (const lighting::DistantLight& d : {source(50, .03), source(25, .033), source(40, .027)}) {
     SCOPED_TRACE(d.radius.value());
     ASSERT_EQ(world.use(d), LookupUse::kScout);
@@ -179,7 +179,7 @@ TEST(VisibilityLight, SmallerLightsAskRaysWhereTheVisibilityIsMixed) {
 // The edge of a sun's shadow runs past what the samples say, where all around a vertex agree and
 // are wrong. It is followed from the vertices whose rays found it.
 TEST(VisibilityLight, FollowsAShadowsEdgeToWhereTheMapDoesNotTell) {
-  const World& world = knot_world();
+  const VisibilityWorld& world = knot_world();
   std::size_t all_naive = 0, all_wrong = 0;
   for (const double elevation : {10., 20., 30., 45., 60., 70.}) {
     const lighting::DistantLight sun = source(elevation, .0047);
@@ -209,7 +209,7 @@ TEST(VisibilityLight, FindsTheShadowOfItsOwnWire) {
   prt::Mesh mesh = test::sheet(60, .25f);
   mesh.albedo.assign(mesh.positions.size(), {.5f, .5f, .5f});
   prt::append(mesh, prt::make_box({-.2f, .2f, -.003f}, {.2f, .206f, .003f}, 8, {.5f, .5f, .5f}));
-  const World world(std::move(mesh));
+  const VisibilityWorld world(std::move(mesh));
   for (const lighting::DistantLight& d :
        {source(80, .028), source(90, .05), source(60, .06), source(75, .09), source(70, .2)}) {
     SCOPED_TRACE(d.radius.value());
@@ -234,7 +234,7 @@ TEST(VisibilityLight, FindsTheShadowOfItsOwnWire) {
 }
 
 TEST(VisibilityLight, RaysStayForWhatItCannotTell) {
-  World world;
+  VisibilityWorld world;
   EXPECT_EQ(world.use(source(50, .005)), LookupUse::kScout);
   EXPECT_EQ(world.use(source(50, .3), 1), LookupUse::kNone) << "hard shadows";
   EXPECT_EQ(world.use(source(50, .3), 16), LookupUse::kNone) << "who asks for many rays gets them";
@@ -259,19 +259,20 @@ TEST(VisibilityLight, RaysStayForWhatItCannotTell) {
 
 // Or two objects in one place would not look like one.
 TEST(VisibilityLight, AThingLikeTheObjectInItsPlaceIsTheObject) {
-  const World& world = knot_world();
+  const VisibilityWorld& world = knot_world();
   const prt::Mesh copy = world.object.mesh;
   const SilhouetteMesh silhouette(copy);
   std::vector<Caster> all = world.casters(true);
   all.push_back({&copy, &silhouette, world.pose});
-  EXPECT_EQ(lookup_use({all, {}, World::kNear}, all[0], source(50, .3), 4), LookupUse::kCoarse);
+  EXPECT_EQ(lookup_use({all, {}, VisibilityWorld::kNear}, all[0], source(50, .3), 4),
+            LookupUse::kCoarse);
   all[1].world_from_mesh.translation.x += 1e-3;
-  EXPECT_EQ(lookup_use({all, {}, World::kNear}, all[0], source(50, .3), 4),
+  EXPECT_EQ(lookup_use({all, {}, VisibilityWorld::kNear}, all[0], source(50, .3), 4),
             LookupUse::kScoutAmongOthers);
 }
 
 TEST(VisibilityLight, LightFromBehindThePlaneDoesNotCount) {
-  World world;
+  VisibilityWorld world;
   for (const auto& [radius, use] :
        {std::pair(.3, LookupUse::kCoarse), {.08, LookupUse::kFine}, {.03, LookupUse::kScout}}) {
     const lighting::DistantLight d = source(0, radius);

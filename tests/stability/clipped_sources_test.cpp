@@ -16,14 +16,15 @@ namespace {
 
 using glm::dvec3;
 
-constexpr int kWidth = 512, kHeight = 256;
+constexpr int kClippedWidth = 512, kClippedHeight = 256;
 const dvec3 kUp(0, 1, 0);
 
 // What a camera makes of the map; the shortest exposure is clipped from a radiance of 9.5 on.
 Environment capture_map(const Image<Rgb>& map, std::uint64_t seed) {
   capture::CameraInfo camera;
   camera.name = "environment";
-  camera.projection = *calib::make_projection(calib::ProjectionKind::kLatLong, kWidth, kHeight);
+  camera.projection =
+      *calib::make_projection(calib::ProjectionKind::kLatLong, kClippedWidth, kClippedHeight);
   capture::HdrRing ring(camera, 2);
   const capture::MergedImage* merged = nullptr;
   for (const double seconds : {.4, .1}) {
@@ -35,7 +36,8 @@ Environment capture_map(const Image<Rgb>& map, std::uint64_t seed) {
     if (added) merged = *added;
   }
   Environment out;
-  capture::EnvironmentAssembler(camera.projection, {}, kWidth, kHeight).assemble(*merged, out);
+  capture::EnvironmentAssembler(camera.projection, {}, kClippedWidth, kClippedHeight)
+      .assemble(*merged, out);
   return out;
 }
 
@@ -91,7 +93,7 @@ void PrintTo(const Scene& s, std::ostream* out) {
 class ClippedSun : public testing::TestWithParam<Scene> {
  protected:
   void SetUp() override {
-    map_ = capture::make_sky_environment(kWidth, kHeight, GetParam().elevation_rad);
+    map_ = capture::make_sky_environment(kClippedWidth, kClippedHeight, GetParam().elevation_rad);
     if (GetParam().frame) map_ = behind_frame(map_);
     truth_ = sun_power(map_);
     environment_ = capture_map(map_, 11);

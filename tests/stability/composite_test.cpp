@@ -23,7 +23,7 @@ namespace {
 using glm::dvec3;
 using test::kDegree, test::kSunRadius;
 
-constexpr int kWidth = 160, kHeight = 120;
+constexpr int kCompositeWidth = 160, kCompositeHeight = 120;
 constexpr dvec3 kUp(0, 1, 0);
 constexpr Rgb kWhite{1, 1, 1};
 
@@ -78,8 +78,11 @@ class Composite : public testing::Test {
     camera.noise = noise_.value_or(calib::NoiseModel{});
     camera.name = "view";
     camera.role = capture::Role::kView;
-    camera.projection = {
-        calib::ProjectionKind::kPinhole, kWidth, kHeight, {150, 150}, {80.5, 59.25}};
+    camera.projection = {calib::ProjectionKind::kPinhole,
+                         kCompositeWidth,
+                         kCompositeHeight,
+                         {150, 150},
+                         {80.5, 59.25}};
     camera.response = calib::Response::srgb();
     curve8_ = capture::make_response_table(camera.response, 8, 0);
     curve16_ = capture::make_response_table(camera.response, 16, 0);
@@ -103,13 +106,15 @@ class Composite : public testing::Test {
     return done ? std::move(done->pixels) : FramePixels{};
   }
   Image<Rgb> composited_floats(const lighting::LightEstimate& light, double seconds = 0) {
-    return std::get<Image<Rgb>>(composited(Image<Rgb>(kWidth, kHeight, kWhite), light, seconds));
+    return std::get<Image<Rgb>>(
+        composited(Image<Rgb>(kCompositeWidth, kCompositeHeight, kWhite), light, seconds));
   }
 
   // Where no part of the object is: it would shine under a bright sky.
   std::vector<bool> open_pixels() {
     auto glow = estimate_of(Image<Rgb>(64, 32, {1000, 1000, 1000}));
-    const auto a = std::get<Image<Rgb>>(composited(Image<Rgb>(kWidth, kHeight), glow));
+    const auto a =
+        std::get<Image<Rgb>>(composited(Image<Rgb>(kCompositeWidth, kCompositeHeight), glow));
     std::vector<bool> open;
     for (const Rgb& c : a.pixels()) open.push_back(c == Rgb{});
     return open;
@@ -219,7 +224,7 @@ TEST(NoLight, MakesNeitherNanNorShadow) {
 TEST_F(Composite, WithoutLightTheFloorKeepsItsBytes) {
   PENUMBRA_STAND(scene_of(slab(), true));
   const std::vector<bool> open = open_pixels();
-  Image<Rgb8> frame(kWidth, kHeight);
+  Image<Rgb8> frame(kCompositeWidth, kCompositeHeight);
   for (std::size_t i = 0; i < frame.area(); ++i)
     frame.pixels()[i] = {std::uint8_t(i), std::uint8_t(i / 7), std::uint8_t(255 - i % 256)};
   const Image<Rgb> bright = sunny_map();
@@ -249,7 +254,7 @@ TEST_F(Composite, BlackStaysBlackAndBlownOutStaysInRange) {
   const Image<Rgb> ratio = composited_floats(light);
   const auto run = [&](std::uint8_t code) {
     return std::get<Image<Rgb8>>(
-        composited(Image<Rgb8>(kWidth, kHeight, {code, code, code}), light));
+        composited(Image<Rgb8>(kCompositeWidth, kCompositeHeight, {code, code, code}), light));
   };
   const Image<Rgb8> black = run(0), blown = run(255);
   int brighter = 0, darker = 0, wrapped = 0, below_black = 0;
@@ -292,10 +297,11 @@ class BlownOutFloor : public Composite {
     const Image<Rgb> ratio = composited_floats(light);
     const Rgb floor = open_irradiance(light, kUp) * float(.4 / kPi);  // radiance, of albedo .4
     const double exposure_s = sends / double(std::min({floor.r, floor.g, floor.b}));
-    const auto out = std::get<Image<Rgb8>>(
-        composited(Image<Rgb8>(kWidth, kHeight, {255, 255, 255}), light, 0, exposure_s));
+    const auto out = std::get<Image<Rgb8>>(composited(
+        Image<Rgb8>(kCompositeWidth, kCompositeHeight, {255, 255, 255}), light, 0, exposure_s));
     const auto out16 = std::get<Image<Rgb16>>(
-        composited(Image<Rgb16>(kWidth, kHeight, {65535, 65535, 65535}), light, 0, exposure_s));
+        composited(Image<Rgb16>(kCompositeWidth, kCompositeHeight, {65535, 65535, 65535}), light, 0,
+                   exposure_s));
     Seen seen;
     for (std::size_t i = 0; i < out.area(); ++i) {
       if (!open_[i]) continue;
@@ -361,8 +367,8 @@ TEST_F(BlownOutFloor, KeepsItsShadowUnderTheCamerasNoise) {
   PENUMBRA_STAND(scene_of(slab(), true));
   const Rgb floor = open_irradiance(light, kUp) * float(.4 / kPi);
   const double exposure_s = 1.5 / double(floor.g);
-  const auto out = std::get<Image<Rgb8>>(
-      composited(Image<Rgb8>(kWidth, kHeight, {255, 255, 255}), light, 0, exposure_s));
+  const auto out = std::get<Image<Rgb8>>(composited(
+      Image<Rgb8>(kCompositeWidth, kCompositeHeight, {255, 255, 255}), light, 0, exposure_s));
   int judged = 0;
   double off = 0, naive = 0;
   for (std::size_t i = 0; i < out.area(); ++i) {
@@ -385,10 +391,10 @@ TEST_F(Composite, ShadowRatioDoesNotFollowTheExposureOfTheFeed) {
   constexpr double kExposure = .01;
   const auto radiance = [](int x, int y) { return 30 + .2f * float(x) + .1f * float(y); };
   const auto shot = [&](auto pixel, const ResponseTable& curve, double exposure) {
-    Image<decltype(pixel)> frame(kWidth, kHeight);
+    Image<decltype(pixel)> frame(kCompositeWidth, kCompositeHeight);
     using Code = decltype(pixel.r);
-    for (int y = 0; y < kHeight; ++y)
-      for (int x = 0; x < kWidth; ++x) {
+    for (int y = 0; y < kCompositeHeight; ++y)
+      for (int x = 0; x < kCompositeWidth; ++x) {
         const auto signal = static_cast<float>(exposure) * radiance(x, y);
         frame.at(x, y) = {static_cast<Code>(curve.encode(0, signal)),
                           static_cast<Code>(curve.encode(1, signal)),
@@ -437,7 +443,7 @@ TEST_F(Composite, ShadowRatioDoesNotFollowTheExposureOfTheFeed) {
 TEST_F(Composite, DrawnObjectFollowsTheExposureOfTheFeed) {
   PENUMBRA_STAND(scene_of(slab(), true));
   const auto light = estimate_of(sunny_map());
-  const Image<Rgb> black(kWidth, kHeight);
+  const Image<Rgb> black(kCompositeWidth, kCompositeHeight);
   const auto full = std::get<Image<Rgb>>(composited(black, light, 0, .01)),
              half = std::get<Image<Rgb>>(composited(black, light, 0, .005));
   int drawn = 0;

@@ -10,7 +10,7 @@ namespace {
 using glm::dvec3;
 using test::kDegree, test::kSunRadius;
 
-constexpr int kWidth = 1024, kHeight = 512;
+constexpr int kMapWidth = 1024, kMapHeight = 512;
 constexpr Rgb kSun{46000, 43000, 38000};
 
 LightExtraction split_of(const Image<Rgb>& map) {
@@ -67,7 +67,7 @@ class SunCrossing : public testing::TestWithParam<Path> {};
 
 TEST_P(SunCrossing, IsOneLightInItsPlaceWithItsEnergy) {
   const auto [name, at, radius] = GetParam();
-  const Image<Rgb> sky = test::sky_over_ground(kWidth, kHeight);
+  const Image<Rgb> sky = test::sky_over_ground(kMapWidth, kMapHeight);
   const float dimmed = static_cast<float>(std::pow(kSunRadius / radius, 2));
   double worst_angle = 0, worst_energy = 0, worst_small = 0;
   std::size_t max_lights = 0;
@@ -85,7 +85,7 @@ TEST_P(SunCrossing, IsOneLightInItsPlaceWithItsEnergy) {
       worst_energy =
           std::max(worst_energy, std::abs(e[c] / (double(kSun[c]) * dimmed * added) - 1));
     most_flat = std::max(most_flat, flat_regions_above(map, 6 * luminance(sky.at(0, 0))));
-    const LightExtraction small = split_of(test::reduced(map, kHeight / 64));
+    const LightExtraction small = split_of(test::reduced(map, kMapHeight / 64));
     ASSERT_FALSE(small.lights.empty());
     worst_small = std::max(worst_small, test::angle_between(small.lights[0].direction, sun));
   }
@@ -120,7 +120,7 @@ TEST(Lights, TwoEqualOppositeLightsAreBothFound) {
   std::mt19937 rng(17);
   for (int i = 0; i < 8; ++i) {
     const dvec3 one = i == 0 ? dvec3(0, 1, 0) : random_direction(rng);
-    Image<Rgb> map(kWidth, kHeight, {.3f, .3f, .3f});
+    Image<Rgb> map(kMapWidth, kMapHeight, {.3f, .3f, .3f});
     for (const dvec3& d : {one, -one})
       test::add_distant_light(map, d, 1.5 * kDegree, {900, 800, 700});
     const auto whole = project_latlong(map, 2);
@@ -155,7 +155,7 @@ class HighRange : public testing::TestWithParam<Range> {};
 TEST_P(HighRange, NoSurfaceReceivesNegativeLightAndNoEnergyIsLost) {
   const auto [name, ratio, radius] = GetParam();
   const auto k = static_cast<float>(ratio);
-  Image<Rgb> map = test::sky_over_ground(kWidth, kHeight, {.8f, 1, 1.3f}, {.3f, .25f, .2f});
+  Image<Rgb> map = test::sky_over_ground(kMapWidth, kMapHeight, {.8f, 1, 1.3f}, {.3f, .25f, .2f});
   test::add_distant_light(map, test::direction_at(.4, .9), radius * kDegree,
                           {1.1f * k, k, .8f * k});
   const dvec3 all = test::energy(map);

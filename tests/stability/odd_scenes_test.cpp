@@ -16,7 +16,7 @@ namespace {
 
 using glm::dvec3;
 
-constexpr int kWidth = 160, kHeight = 120;
+constexpr int kOddWidth = 160, kOddHeight = 120;
 
 Pose looking(const dvec3& eye, const dvec3& target) {
   return capture::look_at(eye, target);
@@ -24,7 +24,8 @@ Pose looking(const dvec3& eye, const dvec3& target) {
 
 struct OddScene {
   PreparedScene scene;
-  prt::PinholeView view{kWidth, kHeight, {150, 150}, {80, 60}, looking({.3, 1.1, 2.2}, {0, .2, 0})};
+  prt::PinholeView view{
+      kOddWidth, kOddHeight, {150, 150}, {80, 60}, looking({.3, 1.1, 2.2}, {0, .2, 0})};
   lighting::LightEstimate light;
 
   explicit OddScene(prt::Mesh mesh = prt::make_sphere({0, .3f, 0}, .3f, 3, {.6f, .5f, .4f})) {
@@ -56,9 +57,9 @@ struct OddScene {
 
 Still picture() {
   Still real;
-  real.radiance = Image<Rgb>(kWidth, kHeight);
-  for (int y = 0; y < kHeight; ++y)
-    for (int x = 0; x < kWidth; ++x)
+  real.radiance = Image<Rgb>(kOddWidth, kOddHeight);
+  for (int y = 0; y < kOddHeight; ++y)
+    for (int x = 0; x < kOddWidth; ++x)
       real.radiance.at(x, y) = {.2f + .001f * static_cast<float>(x), .3f,
                                 .1f + .002f * static_cast<float>(y)};
   return real;
@@ -118,8 +119,8 @@ TEST(OddScene, CameraUnderTheFloorSeesNoShadow) {
   without.light.lights.clear();
   LOOK(dim, without);
   // The sphere may show; the floor's underside must not darken.
-  for (int x = 0; x < kWidth; ++x)
-    EXPECT_EQ(seen->pixels.at(x, kHeight - 1), dim->pixels.at(x, kHeight - 1)) << x;
+  for (int x = 0; x < kOddWidth; ++x)
+    EXPECT_EQ(seen->pixels.at(x, kOddHeight - 1), dim->pixels.at(x, kOddHeight - 1)) << x;
 }
 
 TEST(OddScene, ObjectBelowTheFloorIsHiddenByIt) {

@@ -14,7 +14,7 @@ namespace {
 using glm::dvec3;
 using test::kDegree, test::kMapNs, test::kSunRadius;
 
-constexpr dvec3 kUp(0, 1, 0);
+constexpr dvec3 kZenith(0, 1, 0);
 
 double floor_luminance(const RadianceSh& light, const dvec3& normal) {
   return luminance(evaluate(irradiance(light), normal));
@@ -23,8 +23,8 @@ double floor_luminance(const RadianceSh& light, const dvec3& normal) {
 // The part of the open floor's light that things can take in a sharp shadow.
 double shadow_fraction(const LightEstimate& e) {
   Rgb lights;
-  for (const DistantLight& d : e.lights) lights += irradiance(d, kUp);
-  return luminance(lights) / luminance(runtime::open_irradiance(e, kUp));
+  for (const DistantLight& d : e.lights) lights += irradiance(d, kZenith);
+  return luminance(lights) / luminance(runtime::open_irradiance(e, kZenith));
 }
 
 std::set<int> ids_of(const LightEstimate& e) {
@@ -67,11 +67,11 @@ TEST_P(WindowFrame, BarBeforeTheSunMakesNoJumpsOfItsOwn) {
   constexpr int kWidth = 1024, kHeight = 512, kSteps = 150;
   const auto [name, radius_deg, bar_deg] = GetParam();
   const double radius = radius_deg * kDegree, half_bar = .5 * bar_deg * kDegree;
-  const dvec3 sun = test::direction_at(.5, .7), across = glm::normalize(glm::cross(sun, kUp));
+  const dvec3 sun = test::direction_at(.5, .7), across = glm::normalize(glm::cross(sun, kZenith));
   const Rgb radiance =
       Rgb{46000, 43000, 38000} * static_cast<float>(std::pow(kSunRadius / radius, 2));
   const Image<Rgb> sky = test::sky_over_ground(kWidth, kHeight);
-  const double sky_on_floor = test::luminance_of(test::exact_irradiance(sky, kUp));
+  const double sky_on_floor = test::luminance_of(test::exact_irradiance(sky, kZenith));
   LightEstimator estimator({});
   LatLongProjector projector(kWidth, kHeight, 5);
   std::set<int> ids;
@@ -92,7 +92,7 @@ TEST_P(WindowFrame, BarBeforeTheSunMakesNoJumpsOfItsOwn) {
     ASSERT_TRUE(e);
     ids.merge(ids_of(*e));
     const double mean = kPi * luminance(e->mean_radiance);
-    for (const dvec3& n : {kUp, sun, across, -across, -kUp})
+    for (const dvec3& n : {kZenith, sun, across, -across, -kZenith})
       irradiance_error = std::max(irradiance_error, std::abs(floor_luminance(whole_light(*e), n) -
                                                              floor_luminance(projected->light, n)) /
                                                         mean);
@@ -109,7 +109,8 @@ TEST_P(WindowFrame, BarBeforeTheSunMakesNoJumpsOfItsOwn) {
     }
     // Naive: the strongest region of every map is the light, and what is beside it is ambient.
     ASSERT_TRUE(extract_lights(map, {}, split));
-    const double strongest = split.lights.empty() ? 0 : luminance(irradiance(split.lights[0], kUp));
+    const double strongest =
+        split.lights.empty() ? 0 : luminance(irradiance(split.lights[0], kZenith));
     naive_error = std::max(naive_error, std::abs(strongest / all - truth));
     last_truth = truth, last_fraction = fraction, last_naive = naive;
   }
@@ -196,7 +197,7 @@ TEST(Tracking, WindowThatDimsSlowlyDoesNotLoseItsShadowAtOnce) {
     const float radiance = 4 - .01f * static_cast<float>(i);
     Image<Rgb> map = room;
     test::add_distant_light(map, place, 20 * kDegree, Rgb{1, 1, 1} * (radiance - .3f));
-    const double floor = test::exact_irradiance(map, kUp).y;
+    const double floor = test::exact_irradiance(map, kZenith).y;
     // Naive: a source is what is brighter than six times the mean of the rest, and all of it.
     const double above_level =
         radiance > 6 * .3f ? radiance * kPi * std::pow(std::sin(20 * kDegree), 2) * place.y / floor
@@ -351,7 +352,7 @@ TEST(Tracking, StaticSceneOfTenMinutesNeitherDriftsNorFlickersMoreThanItsNoise) 
     const auto e = estimator.estimate(test::environment_at(std::move(map), i * kStepNs));
     ASSERT_TRUE(e);
     ids.merge(ids_of(*e));
-    floor.values.push_back(luminance(runtime::open_irradiance(*e, kUp)));
+    floor.values.push_back(luminance(runtime::open_irradiance(*e, kZenith)));
     wall.values.push_back(luminance(runtime::open_irradiance(*e, wall_normal)));
     fraction.values.push_back(shadow_fraction(*e));
   }

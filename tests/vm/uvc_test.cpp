@@ -20,7 +20,7 @@
 namespace penumbra::capture {
 namespace {
 
-constexpr const char* kDevice = "/dev/video0";
+constexpr const char* kUvcDevice = "/dev/video0";
 const std::vector<Exposure> kSchedule = {
     {Seconds(.03), Gain(1)}, {Seconds(.006), Gain(1)}, {Seconds(.0012), Gain(1)}};
 
@@ -30,7 +30,7 @@ RigCamera environment() {
   out.info.projection =
       *calib::make_projection(calib::ProjectionKind::kLatLong, test::kUvcWidth, test::kUvcHeight);
   out.info.response = calib::Response::srgb();
-  out.settings.device = kDevice;
+  out.settings.device = kUvcDevice;
   out.settings.width = test::kUvcWidth, out.settings.height = test::kUvcHeight;
   out.settings.unit_gain = test::kUvcUnitGain;
   out.schedule = kSchedule;
@@ -63,7 +63,7 @@ double shown(const FramePixels& pixels) {
 class Uvc : public testing::Test {
  public:
   static void fault(test::UvcFault which) {
-    if (auto node = V4l2Node::open(kDevice)) node->set(V4L2_CID_SHARPNESS, which);
+    if (auto node = V4l2Node::open(kUvcDevice)) node->set(V4L2_CID_SHARPNESS, which);
   }
 
  protected:
@@ -71,7 +71,7 @@ class Uvc : public testing::Test {
     const char* const guest = std::getenv("PENUMBRA_GUEST");
     if (!guest || std::string(guest) != "uvc")
       GTEST_SKIP() << "runs in the guest of tests/vm alone";
-    for (int i = 0; i < 100 && !V4l2Node::open(kDevice); ++i)
+    for (int i = 0; i < 100 && !V4l2Node::open(kUvcDevice); ++i)
       std::this_thread::sleep_for(std::chrono::milliseconds(50));
     fault(test::kNoFault);
   }

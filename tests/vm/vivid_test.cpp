@@ -14,7 +14,7 @@
 namespace penumbra::capture {
 namespace {
 
-constexpr const char* kDevice = "/dev/video0";
+constexpr const char* kVividDevice = "/dev/video0";
 
 class Vivid : public testing::Test {
  protected:
@@ -25,7 +25,7 @@ class Vivid : public testing::Test {
 
 CameraSettings settings(const std::string& format = "", int width = 640, int height = 360) {
   CameraSettings out;
-  out.device = kDevice, out.format = format, out.width = width, out.height = height;
+  out.device = kVividDevice, out.format = format, out.width = width, out.height = height;
   return out;
 }
 
@@ -35,7 +35,7 @@ struct Picture : CameraFrame {
 Result<Picture> first_frame(CameraDevice& camera) {
   auto frame = camera.wait(Seconds(20), Seconds(20));
   if (!frame) return std::unexpected(frame.error());
-  if (!*frame) return fail(ErrorCode::kUnavailable, kDevice, "no frame in twenty seconds");
+  if (!*frame) return fail(ErrorCode::kUnavailable, kVividDevice, "no frame in twenty seconds");
   auto pixels = camera.pixels();
   if (!pixels) return std::unexpected(pixels.error());
   return Picture{**frame, std::move(*pixels)};
@@ -74,7 +74,7 @@ TEST_F(Vivid, IsListedWithItsModesAndWhatItCannotDo) {
   const CameraList list = list_cameras();
   ASSERT_FALSE(list.cameras.empty());
   const CameraListing& vivid = list.cameras[0];
-  EXPECT_EQ(vivid.device, kDevice);
+  EXPECT_EQ(vivid.device, kVividDevice);
   EXPECT_EQ(vivid.driver, "vivid");
   EXPECT_FALSE(vivid.exposure_s) << "vivid has no exposure";
   EXPECT_TRUE(vivid.gain);
@@ -159,7 +159,7 @@ TEST_F(Vivid, AnUnpluggedCameraIsAClosedOneAndNoHang) {
   auto camera = open_camera(settings("YUYV"));
   ASSERT_TRUE(camera);
   ASSERT_TRUE(first_frame(**camera));
-  auto node = V4l2Node::open(kDevice);
+  auto node = V4l2Node::open(kVividDevice);
   ASSERT_TRUE(node);
   std::uint32_t id = 0;
   v4l2_queryctrl query{};

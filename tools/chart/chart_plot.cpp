@@ -39,7 +39,7 @@ std::string csv_cell(const nlohmann::ordered_json& cell) {
   return cell.is_number_float() ? number(cell.get<double>()) : cell.dump();
 }
 
-nlohmann::ordered_json row_of(const ChartPoint& p) {
+nlohmann::ordered_json chart_row(const ChartPoint& p) {
   return {{"environment", p.environment},
           {"mesh", p.mesh},
           {"method", p.method},
@@ -236,12 +236,12 @@ std::string csv_table(const nlohmann::ordered_json& columns, const nlohmann::ord
 }
 
 std::string chart_csv(std::span<const ChartPoint> points) {
-  return csv_table(row_of({}), chart_json(points));
+  return csv_table(chart_row({}), chart_json(points));
 }
 
 nlohmann::ordered_json chart_json(std::span<const ChartPoint> points) {
   auto rows = nlohmann::ordered_json::array();
-  for (const ChartPoint& p : points) rows.push_back(row_of(p));
+  for (const ChartPoint& p : points) rows.push_back(chart_row(p));
   return rows;
 }
 

@@ -20,15 +20,15 @@ namespace penumbra::tools {
 
 namespace {
 
-constexpr float kNight = .01f;           // of the light of day
-constexpr double kReferenceError = .03;  // its noise is taken out by its two halves
+constexpr float kNight = .01f;                 // of the light of day
+constexpr double kSensorReferenceError = .03;  // its noise is taken out by its two halves
 constexpr double kMeanGoal = .02, kWorstGoal = .04, kObjectGoal = .04, kCaptureGoal = .01;
 
 std::string percent(double fraction) {
   return fmt::format("{:.1f}", 100 * fraction);
 }
 
-nlohmann::ordered_json row_of(const SensorPoint& p) {
+nlohmann::ordered_json sensor_row(const SensorPoint& p) {
   const auto optional = [](const std::optional<double>& v) {
     return v ? nlohmann::ordered_json(*v) : nlohmann::ordered_json();
   };
@@ -92,7 +92,7 @@ nlohmann::ordered_json to_json(const SensorSummary& s) {
           {"goals_met", s.goals_met()}};
 }
 
-void print_header() {
+void print_sensor_header() {
   fmt::print("{:<24} {:<14} {:>4} {:>3} {:>3} {:>3} {:>8} {:>8} {:>8} {:>8} {:>9} {:>7} {:>9}\n",
              "environment", "scene", "bits", "exp", "B", "K", "plan s", "shadow s", "bias s",
              "true map", "object %", "bias %", "true map");
@@ -197,22 +197,22 @@ Result<void> chart_through_sensor(const ChartOptions& o) {
   PENUMBRA_ASSIGN(environments, environments_of(o));
   std::vector<std::string> assets = o.assets;
   if (assets.empty()) assets = {"builtin:knot", "builtin:walker"};
-  if (!o.json) print_header();
+  if (!o.json) print_sensor_header();
   std::vector<SensorPoint> points;
   for (const SensorScene& scene : sensor_scenes(assets)) {
     PENUMBRA_ASSIGN(bench, SensorBench::make(scene));
     for (const ChartEnvironment& e : environments) {
-      PENUMBRA_ASSIGN(world, bench.trace(e.name, e.map, o.error.value_or(kReferenceError)));
+      PENUMBRA_ASSIGN(world, bench.trace(e.name, e.map, o.error.value_or(kSensorReferenceError)));
       PENUMBRA_ASSIGN(point, bench.measure(world, {o.bits, Seconds(o.shortest_exposure_s)}));
       if (!o.json) print(point);
       points.push_back(std::move(point));
     }
   }
   auto rows = nlohmann::ordered_json::array();
-  for (const SensorPoint& p : points) rows.push_back(row_of(p));
+  for (const SensorPoint& p : points) rows.push_back(sensor_row(p));
   const SensorSummary summary = summary_of(points);
   PENUMBRA_TRY(output.begin());
-  PENUMBRA_TRY(write_bytes(output.file("through-sensor.csv"), csv_table(row_of({}), rows)));
+  PENUMBRA_TRY(write_bytes(output.file("through-sensor.csv"), csv_table(sensor_row({}), rows)));
   if (const auto plot = write_plot(output.file("through-sensor.svg"), points, environments); !plot)
     log_warning("the plot is not written: {}: {}", plot.error().where, plot.error().detail);
   for (const SensorPoint& p : points)

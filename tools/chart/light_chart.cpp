@@ -30,7 +30,7 @@ namespace penumbra::tools {
 
 namespace {
 
-constexpr double kReferenceError = .004;
+constexpr double kLightReferenceError = .004;
 constexpr int kTruncatedBakeRays = 8192;
 constexpr int kFlickerMaps = 6;
 // A machine that others use too is a third slower from one second to the next. What is cheap is
@@ -126,7 +126,7 @@ class Charter {
       costs_ = costs;
     }
     PENUMBRA_ASSIGN(truth,
-                    trace_truth(bench_, environment.map, o_.error.value_or(kReferenceError)));
+                    trace_truth(bench_, environment.map, o_.error.value_or(kLightReferenceError)));
     if (o_.bands.empty()) {
       auto maps = measured_maps(environment.map, kFlickerMaps);
       if (!maps) return fail(maps.error().code, environment.name, maps.error().detail);
@@ -412,14 +412,14 @@ class Charter {
 Result<void> chart_truncated(const ChartOptions& o, const ChartScene& bench,
                              const ChartEnvironment& environment, std::vector<ChartPoint>& points) {
   const StillScene in = bench.in(environment.map);
-  PENUMBRA_ASSIGN(empty, render_real(in, o.error.value_or(kReferenceError), {}));
+  PENUMBRA_ASSIGN(empty, render_real(in, o.error.value_or(kLightReferenceError), {}));
   auto projection = lighting::project_latlong(environment.map, kMaxBands);
   if (!projection)
     return fail(projection.error().code, environment.name, projection.error().detail);
   for (const int bands : o.bands.empty() ? std::vector{1, 2, 3, 4, 5, 6, 9} : o.bands) {
     const lighting::LightEstimate light = lighting::make_estimate(*projection, bands);
     PENUMBRA_ASSIGN(truth,
-                    render_reference(in, true, o.error.value_or(kReferenceError), light,
+                    render_reference(in, true, o.error.value_or(kLightReferenceError), light,
                                      progress_bar(fmt::format("{} {}", environment.name, bands))));
     Still lit = empty;
     light_floor(in, light, bench.masks(), lit);
@@ -441,7 +441,7 @@ Result<void> chart_truncated(const ChartOptions& o, const ChartScene& bench,
   return {};
 }
 
-void print_header() {
+void print_light_header() {
   fmt::print(
       "n coefficients, K lights, smp samples of a light, map texels along its shadow map,\n"
       "rows of the environment, rays of the bake, rate updates a frame; errors of the object,\n"
@@ -459,7 +459,7 @@ Result<std::vector<ChartPoint>> chart_lights(const ChartOptions& o,
                                              std::span<const std::string> assets,
                                              std::span<const ChartEnvironment> environments) {
   std::vector<ChartPoint> points;
-  if (!o.json && !o.truncated) print_header();
+  if (!o.json && !o.truncated) print_light_header();
   for (const std::string& asset : assets) {
     PENUMBRA_ASSIGN(bench, ChartScene::make(asset, o.truncated ? kTruncatedBakeRays : kBakeRays));
     Charter charter(o, asset, bench, points);

@@ -8,6 +8,9 @@
 
 namespace penumbra::calib {
 
+/// What no views of a rig determine.
+std::unexpected<Error> rig_undetermined(std::string detail);
+
 struct RigStart {
   std::vector<RigObservation> views;   // whose board has a pose, by time
   std::vector<std::size_t> moment_of;  // of each view

@@ -31,13 +31,13 @@ namespace penumbra::tools {
 namespace {
 
 constexpr int kRuns = 9, kManyLights = 32;
-constexpr int kWidth = 192, kHeight = 144;
+constexpr int kChartWidth = 192, kChartHeight = 144;
 
-prt::PinholeView make_view() {
-  return {kWidth,
-          kHeight,
+prt::PinholeView chart_view() {
+  return {kChartWidth,
+          kChartHeight,
           {210, 210},
-          {kWidth / 2., kHeight / 2.},
+          {kChartWidth / 2., kChartHeight / 2.},
           capture::look_at({.25, .95, 1.35}, {0, .17, 0})};
 }
 
@@ -110,7 +110,7 @@ Result<ChartScene> ChartScene::make(const std::string& asset, int rays) {
   settings.rays = settings.ground_rays = rays;
   PENUMBRA_ASSIGN(prepared, runtime::prepare({{object}, {floor}}, settings, progress_bar));
   bench.prepared_ = std::move(prepared);
-  bench.view_ = make_view();
+  bench.view_ = chart_view();
   PENUMBRA_ASSIGN(masks, make_masks(bench.prepared_, bench.view_));
   bench.masks_ = std::move(masks);
   return bench;

@@ -20,7 +20,7 @@ namespace penumbra::tools {
 
 namespace {
 
-constexpr int kWidth = 256, kHeight = 192;
+constexpr int kSensorWidth = 256, kSensorHeight = 192;
 constexpr double kViewFps = 5;
 // Suns are recovered from the floor once a second, and lights fade in; then as many noisy frames of
 // one moment as make their own noise small.
@@ -81,11 +81,11 @@ runtime::RealGeometry block(double size_m, const glm::dvec3& position) {
   return out;
 }
 
-prt::PinholeView make_view() {
-  return {kWidth,
-          kHeight,
+prt::PinholeView sensor_view() {
+  return {kSensorWidth,
+          kSensorHeight,
           {280, 280},
-          {kWidth / 2., kHeight / 2.},
+          {kSensorWidth / 2., kSensorHeight / 2.},
           capture::look_at({.25, .95, 1.45}, {0, .15, 0})};
 }
 
@@ -160,7 +160,7 @@ Result<SensorBench> SensorBench::make(const SensorScene& scene) {
     PENUMBRA_ASSIGN(told, runtime::prepare(*scene.told, {}, progress_bar));
     bench.given_ = std::make_shared<const runtime::PreparedScene>(std::move(told));
   }
-  bench.view_ = make_view();
+  bench.view_ = sensor_view();
   PENUMBRA_ASSIGN(masks, make_masks(*bench.prepared_, bench.view_, scene.seconds));
   bench.masks_ = std::move(masks);
   return bench;
