@@ -59,6 +59,12 @@ compositor::Appearance appearance_of(const PreparedObject& o) {
 // shows on an object, by 0.1 %.
 constexpr double kPatternsError = 5e-4;
 
+glm::dvec3 middle_of(const PreparedScene& scene) {
+  glm::dvec3 sum(0);
+  for (const PreparedObject& o : scene.objects) sum += o.world_from_bake.translation;
+  return sum / std::max(1., static_cast<double>(scene.objects.size()));
+}
+
 // What the floor sends where nothing shades it, if it is all that is real; 0 where its albedo is
 // not known.
 Rgb radiance_of_floor(const PreparedScene& scene, std::span<const Rgb> open) {
@@ -126,6 +132,24 @@ Result<std::unique_ptr<CompositeStage>> CompositeStage::create(
   }
   return stage;
 }
+
+CompositeStage::CompositeStage(std::unique_ptr<compositor::Compositor> compositor,
+                               DirectLightStage lights, FloorRecovery recovery,
+                               const PreparedScene& scene, std::unique_ptr<PreparedScene> moving,
+                               StageTimes& times)
+    : compositor_(std::move(compositor)),
+      moving_(std::move(moving)),
+      scene_(scene),
+      lights_(std::move(lights)),
+      recovery_(std::move(recovery)),
+      moves_(scene),
+      surroundings_(scene),
+      lamps_(scene),
+      real_(scene),
+      gathered_(scene),
+      ground_probes_(scene),
+      exchange_(scene.planes, middle_of(scene)),
+      times_(times) {}
 
 std::shared_ptr<const RelightBases> CompositeStage::bases_of(const prt::BakedObject& baked) const {
   for (const StageObject& o : objects_)
@@ -211,9 +235,7 @@ bool CompositeStage::shade(const lighting::LightEstimate& light, double seconds)
     surroundings_.refine(lights_.occluders());
     ground_probes_.update(lights_.occluders(), poses_, other_form);
   }
-  open_.clear();
-  for (const prt::Plane& plane : scene_.planes)
-    open_.push_back(open_irradiance(light, plane.normal));
+  light_open_planes(light);
   floor_radiance_ = radiance_of_floor(scene_, open_);
   bool lights_changed = update_distant_lights(light);
   if (lamps_.any()) {
@@ -240,6 +262,29 @@ bool CompositeStage::shade(const lighting::LightEstimate& light, double seconds)
     if (real_.shadow()) compositor_->set_real_shadow(*real_.shadow());
   }
   return true;
+}
+
+// Without objects and real meshes.
+void CompositeStage::light_open_planes(const lighting::LightEstimate& light) {
+  open_.clear();
+  for (const prt::Plane& plane : scene_.planes)
+    open_.push_back(open_irradiance(light, plane.normal));
+  plane_changes_.assign(scene_.planes.size(), {});
+  if (!exchange_.any()) return;
+  std::vector<const RadianceSh*> residuals;
+  for (const prt::Plane& plane : scene_.planes)
+    residuals.push_back(&residual_for(light, plane.normal.y > kLevel));
+  exchange_.changes(residuals, light.lights, plane_changes_);
+  for (std::size_t p = 0; p < open_.size(); ++p) open_[p] += plane_changes_[p];
+}
+
+// What real planes change of the open floor's irradiance where an object stands.
+Rgb CompositeStage::plane_change_at(std::size_t index, const Pose& pose) const {
+  const prt::BakedObject& baked = objects_[index].prepared->baked;
+  if (!exchange_.any() || !baked.receiver) return {};
+  const int plane = plane_at(scene_.planes, pose * glm::dvec3(0, baked.receiver->grid.height, 0),
+                             pose.rotation * glm::dvec3(0, 1, 0));
+  return plane == RealPoint::kMesh ? Rgb{} : plane_changes_[static_cast<std::size_t>(plane)];
 }
 
 void CompositeStage::light_planes(const std::vector<Pose>& poses) {
@@ -378,7 +423,8 @@ void CompositeStage::compose_shadow(std::size_t index, const lighting::LightEsti
                               {0, 1, 0}) +
            light.distant_irradiance;
   };
-  const Rgb local = open_floor_irradiance(light.local), open = open_floor_irradiance(light.open);
+  const Rgb local = open_floor_irradiance(light.local),
+            open = open_floor_irradiance(light.open) + plane_change_at(index, pose);
   for (int c = 0; c < 3; ++c) o.of_open[c] = open[c] > 0 ? std::max(0.f, local[c] / open[c]) : 1;
 }
 

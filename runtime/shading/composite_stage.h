@@ -34,6 +34,7 @@
 #include "runtime/surroundings/ground_probes.h"
 #include "runtime/surroundings/irradiance_cache.h"
 #include "runtime/surroundings/occlusion_probes.h"
+#include "runtime/surroundings/plane_exchange.h"
 #include "runtime/surroundings/plane_light.h"
 #include "shadows/field/planar_shadow.h"
 
@@ -160,19 +161,7 @@ class CompositeStage {
 
   CompositeStage(std::unique_ptr<compositor::Compositor> compositor, DirectLightStage lights,
                  FloorRecovery recovery, const PreparedScene& scene,
-                 std::unique_ptr<PreparedScene> moving, StageTimes& times)
-      : compositor_(std::move(compositor)),
-        moving_(std::move(moving)),
-        scene_(scene),
-        lights_(std::move(lights)),
-        recovery_(std::move(recovery)),
-        moves_(scene),
-        surroundings_(scene),
-        lamps_(scene),
-        real_(scene),
-        gathered_(scene),
-        ground_probes_(scene),
-        times_(times) {}
+                 std::unique_ptr<PreparedScene> moving, StageTimes& times);
   std::shared_ptr<const RelightBases> bases_of(const prt::BakedObject& baked) const;
   static bool differs_visibly(const ObjectLight& before, const ObjectLight& now);
   ObjectLight light_at(std::size_t index, const lighting::LightEstimate& light,
@@ -195,7 +184,7 @@ class CompositeStage {
   void find_floor_shadows(std::size_t index, const std::vector<Pose>& poses,
                           std::pmr::vector<FloorShadow>& out) const;
   static FloorLight floor_at(const glm::vec3& point, std::span<const FloorShadow> floor_shadows,
-                             float local, float all);
+                             float local, float open, float all);
   float lit_fraction(std::size_t source, std::size_t index, const Pose& pose) const;
   void add_distant_lights(std::size_t index, const lighting::LightEstimate& light, const Pose& pose,
                           ObjectLight& out) const;
@@ -223,6 +212,8 @@ class CompositeStage {
   void combine_object_shadows(const std::vector<Pose>& poses);
   void shade_real_mesh(const lighting::LightEstimate& light, const std::vector<Pose>& poses,
                        bool other_form);
+  void light_open_planes(const lighting::LightEstimate& light);
+  Rgb plane_change_at(std::size_t index, const Pose& pose) const;
   void light_planes(const std::vector<Pose>& poses);
   Rgb lost_at(std::size_t point, const RadianceSh& sky) const;
   bool move_objects();
@@ -247,6 +238,7 @@ class CompositeStage {
   RealSurfaceStage real_;
   IrradianceCache gathered_;
   GroundProbes ground_probes_;
+  PlaneExchange exchange_;
   std::optional<PlaneLight> plane_light_;  // of this update
   std::vector<Rgb> of_points_, lost_;      // scratch
   std::vector<Rgb> real_ratios_;           // at its vertices, as last shown
@@ -257,6 +249,7 @@ class CompositeStage {
   std::vector<StageObject> objects_;
   std::vector<Pose> poses_, poses_before_;  // of this update, of the last one
   std::vector<Rgb> open_;                   // irradiance of each open plane
+  std::vector<Rgb> plane_changes_;          // in it, by the other planes
   Rgb floor_radiance_;                      // in the open; 0: unknown, or not all that is real
   std::vector<compositor::ShadowMapOnPlane> on_planes_;
   bool lit_before_ = false;

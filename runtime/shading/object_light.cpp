@@ -113,11 +113,12 @@ void CompositeStage::find_floor_shadows(std::size_t index, const std::vector<Pos
 }
 
 // A shadow's ratio counts the lights, so that what it takes of the residual is more of that.
-// in: local, the local residual, and all, light with distant lights, over the open residual
+// in: local, the local residual, open, that of the open plane beside other planes, and all, the
+//     latter with distant lights, over the residual without anything real
 CompositeStage::FloorLight CompositeStage::floor_at(const glm::vec3& point,
                                                     std::span<const FloorShadow> floor_shadows,
-                                                    float local, float all) {
-  FloorLight out{local, 1};
+                                                    float local, float open, float all) {
+  FloorLight out{local, open};
   float virtual_occlusion = 0;  // by objects
   for (const FloorShadow& s : floor_shadows) {
     const glm::dvec3 p = s.bake_from_world * glm::dvec3(point);
@@ -156,11 +157,13 @@ void CompositeStage::see_surroundings(std::size_t index, const lighting::LightEs
   std::pmr::vector<FloorShadow> shadows_there(scope.memory());
   find_floor_shadows(index, poses, shadows_there);
   const float residual = luminance(lighting::evaluate(irradiance, up));
-  float all = residual;
+  const float open_residual = residual + luminance(plane_change_at(index, pose));
+  float all = open_residual;
   for (const lighting::DistantLight& d : estimate.lights)
     all += luminance(lighting::irradiance(d, up));
   const float local_residual = luminance(lighting::evaluate(local_irradiance, up)),
-              of_residual = residual > 0 ? local_residual / residual : 1;
+              of_residual = residual > 0 ? local_residual / residual : 1,
+              open = residual > 0 ? open_residual / residual : 1;
   all = residual > 0 ? all / residual : 1;
   for (const ProbeHit& hit : surroundings_.hits(index)) {
     if (hit.thing == ProbeHit::kProbe) continue;
@@ -175,7 +178,7 @@ void CompositeStage::see_surroundings(std::size_t index, const lighting::LightEs
     const bool thing = hit.thing != ProbeHit::kFloor;  // a real or a virtual one
     if (thing) out.around[hit.probe] += exit_of(hit) * weight;
     if (hit.above_floor) {
-      const FloorLight floor = floor_at(hit.point, shadows_there, of_residual, all);
+      const FloorLight floor = floor_at(hit.point, shadows_there, of_residual, open, all);
       out.reflected[hit.probe] += of_floor * floor.counted;
       if (!thing) out.reflected_left[hit.probe] += of_floor * floor.left;
     } else {

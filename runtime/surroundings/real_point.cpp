@@ -8,8 +8,8 @@ namespace penumbra::runtime {
 
 namespace {
 constexpr double kAligned = .99999;
+}  // namespace
 
-// Distance to the first plane that a ray meets from its front; the largest float without one.
 float meet_planes(std::span<const prt::Plane> planes, const glm::vec3& from,
                   const glm::vec3& direction, int except, RealPoint& met) {
   float distance = std::numeric_limits<float>::max();
@@ -26,8 +26,6 @@ float meet_planes(std::span<const prt::Plane> planes, const glm::vec3& from,
   if (met.plane != RealPoint::kMesh) met.on_plane = from + distance * direction;
   return distance;
 }
-
-}  // namespace
 
 std::optional<MetReal> meet_real(std::span<const prt::Plane> planes, const prt::Mesh& mesh,
                                  const prt::RayWorld::Rays& rays,

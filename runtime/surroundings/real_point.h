@@ -25,6 +25,12 @@ struct RealPoint {
   glm::vec3 on_plane{0};       // world, metres
 };
 
+/// Distance in metres to the first plane that a ray meets from its front, and the place on it; the
+/// largest float without one.
+/// in: except, the number of a plane that does not count, or RealPoint::kMesh
+float meet_planes(std::span<const prt::Plane> planes, const glm::vec3& from,
+                  const glm::vec3& direction, int except, RealPoint& met);
+
 struct MetReal {
   RealPoint point;
   float distance;  // metres
