@@ -14,7 +14,8 @@ if(CMAKE_CXX_COMPILER_ID STREQUAL GNU)
        -Wno-array-bounds -Wno-stringop-overread)
 endif()
 if(CMAKE_UNITY_BUILD)
-  # What a file has for itself is in no header, though it is compiled as one with others.
+  # GCC takes a file that is included in a unity file for a header, whose classes must not have
+  # members of unnamed namespaces' types.
   list(APPEND penumbra_warnings $<$<CXX_COMPILER_ID:GNU>:-Wno-subobject-linkage>)
 endif()
 target_compile_options(penumbra_options INTERFACE "$<BUILD_INTERFACE:${penumbra_warnings}>")

@@ -22,7 +22,7 @@ constexpr double kHalfStop = 1.4142135623730951;
 constexpr double kIrradianceNoise = 1.63;
 constexpr double kSigmas = 2;  // of noise count as its error
 // Pixels of a row that are looked at: the sun is two or three wide in a fisheye
-constexpr int kPixelsOfRow = 960;
+constexpr int kMaxReadColumns = 960;
 
 // What a whole wall may be off by when its radiance lies anywhere between two codes: noise turns
 // the error of rounding into noise.
@@ -181,7 +181,7 @@ void LightHistogram::add(const FramePixels& pixels, const Exposure& exposure,
   SeenExposure seen;
   seen.exposure = exposure;
   const auto gather = [&](const auto& image, int shift) {
-    const int step = std::max(1, image.width() / kPixelsOfRow);
+    const int step = std::max(1, image.width() / kMaxReadColumns);
     const double stands_for = static_cast<double>(step) * step;
     for (int y = step / 2; y < image.height(); y += step)
       for (int x = step / 2; x < image.width(); x += step) {

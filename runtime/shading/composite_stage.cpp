@@ -59,12 +59,6 @@ compositor::Appearance appearance_of(const PreparedObject& o) {
 // shows on an object, by 0.1 %.
 constexpr double kPatternsError = 5e-4;
 
-glm::dvec3 middle_of(const PreparedScene& scene) {
-  glm::dvec3 sum(0);
-  for (const PreparedObject& o : scene.objects) sum += o.world_from_bake.translation;
-  return sum / std::max(1., static_cast<double>(scene.objects.size()));
-}
-
 // What the floor sends where nothing shades it, if it is all that is real; 0 where its albedo is
 // not known.
 Rgb radiance_of_floor(const PreparedScene& scene, std::span<const Rgb> open) {
@@ -148,7 +142,7 @@ CompositeStage::CompositeStage(std::unique_ptr<compositor::Compositor> composito
       real_(scene),
       gathered_(scene),
       ground_probes_(scene),
-      exchange_(scene.planes, middle_of(scene)),
+      planes_(scene),
       times_(times) {}
 
 std::shared_ptr<const RelightBases> CompositeStage::bases_of(const prt::BakedObject& baked) const {
@@ -201,21 +195,23 @@ bool CompositeStage::update_distant_lights(const lighting::LightEstimate& light)
   const StageTimer timer(times_, "lights");
   const std::size_t fine =
       light.plan ? static_cast<std::size_t>(light.plan->fine_lights) : DirectLightStage::kAllLights;
-  return lights_.update(light.lights, kPi * luminance(light.mean_radiance), surroundings_, open_,
-                        fine);
+  return lights_.update(light.lights, kPi * luminance(light.mean_radiance), surroundings_,
+                        planes_.irradiance(), fine);
 }
 
 // True where an object's light changed visibly.
-bool CompositeStage::relight_objects(const lighting::LightEstimate& light, bool lights_changed,
+bool CompositeStage::relight_objects(const lighting::LightEstimate& light, bool all_changed,
                                      bool other_form) {
   light_planes(poses_);
   bool relit = false;
+  for (StageObject& o : objects_) o.renewed = false;
   // What things reflect onto each other is known from the last update, at first from a round of its
   // own.
   const int rounds = !lit_before_ && surroundings_.any() ? 2 : 1;
   for (int round = 0; round < rounds; ++round) {
     for (std::size_t i = 0; i < objects_.size(); ++i)
-      relit |= update_object(i, poses_, light, lights_changed || round > 0, other_form);
+      relit |= update_object(i, poses_, light, all_changed || round > 0 || lights_.changed(i),
+                             other_form);
     if (round + 1 == rounds) break;
     combine_object_shadows(poses_);
     light_planes(poses_);
@@ -235,21 +231,22 @@ bool CompositeStage::shade(const lighting::LightEstimate& light, double seconds)
     surroundings_.refine(lights_.occluders());
     ground_probes_.update(lights_.occluders(), poses_, other_form);
   }
-  light_open_planes(light);
-  floor_radiance_ = radiance_of_floor(scene_, open_);
-  bool lights_changed = update_distant_lights(light);
+  planes_.update(light);
+  floor_radiance_ = radiance_of_floor(scene_, planes_.irradiance());
+  bool lights_changed = update_distant_lights(light), lamps_changed = false;
   if (lamps_.any()) {
     const StageTimer timer(times_, "lamps");
-    lights_changed |= lamps_.update(lights_.occluders(), poses_, other_form);
+    lamps_changed = lamps_.update(lights_.occluders(), poses_, other_form);
+    lights_changed |= lamps_changed;
   }
   bool measured = false;
   if (real_.any()) {
     const StageTimer timer(times_, "real mesh");
     measured = real_.measure(light, lights_, lights_changed);
   }
-  lights_.shadows(open_, on_planes_);
-  lamps_.append(open_, on_planes_);
-  const bool relit = relight_objects(light, lights_changed, other_form);
+  lights_.shadows(planes_.irradiance(), on_planes_);
+  lamps_.append(planes_.irradiance(), on_planes_);
+  const bool relit = relight_objects(light, lamps_changed, other_form);
   // Neighbours' shadows and those on real meshes follow a turn that no light shows.
   const bool moved = (objects_.size() > 1 || real_.any()) && poses_ != poses_before_;
   if (!relit && !lights_changed && !moved && !measured) return false;
@@ -264,29 +261,6 @@ bool CompositeStage::shade(const lighting::LightEstimate& light, double seconds)
   return true;
 }
 
-// Without objects and real meshes.
-void CompositeStage::light_open_planes(const lighting::LightEstimate& light) {
-  open_.clear();
-  for (const prt::Plane& plane : scene_.planes)
-    open_.push_back(open_irradiance(light, plane.normal));
-  plane_changes_.assign(scene_.planes.size(), {});
-  if (!exchange_.any()) return;
-  std::vector<const RadianceSh*> residuals;
-  for (const prt::Plane& plane : scene_.planes)
-    residuals.push_back(&residual_for(light, plane.normal.y > kLevel));
-  exchange_.changes(residuals, light.lights, plane_changes_);
-  for (std::size_t p = 0; p < open_.size(); ++p) open_[p] += plane_changes_[p];
-}
-
-// What real planes change of the open floor's irradiance where an object stands.
-Rgb CompositeStage::plane_change_at(std::size_t index, const Pose& pose) const {
-  const prt::BakedObject& baked = objects_[index].prepared->baked;
-  if (!exchange_.any() || !baked.receiver) return {};
-  const int plane = plane_at(scene_.planes, pose * glm::dvec3(0, baked.receiver->grid.height, 0),
-                             pose.rotation * glm::dvec3(0, 1, 0));
-  return plane == RealPoint::kMesh ? Rgb{} : plane_changes_[static_cast<std::size_t>(plane)];
-}
-
 void CompositeStage::light_planes(const std::vector<Pose>& poses) {
   if (!surroundings_.any_real()) return;
   std::vector<ShadowOnPlane> shadows;
@@ -297,7 +271,7 @@ void CompositeStage::light_planes(const std::vector<Pose>& poses) {
     if (const prt::BakedObject& baked = objects_[k].prepared->baked; baked.receiver)
       shadows.push_back({&objects_[k].shown(), &baked.receiver->grid, poses[k].inverse(), false,
                          objects_[k].of_open});
-  plane_light_.emplace(scene_.planes, open_, on_planes_, std::move(shadows));
+  plane_light_.emplace(scene_.planes, planes_.irradiance(), on_planes_, std::move(shadows));
 }
 
 // What virtual things change in the light of the real mesh beside the lights.
@@ -351,8 +325,17 @@ bool may_meet(const prt::BakedObject& a, const Pose& at_a, const prt::BakedObjec
 // What objects take of each other's light. What real things take is not in their own: they were
 // shaded by light past those (ObjectLight::local).
 void CompositeStage::combine_object_shadows(const std::vector<Pose>& poses) {
+  const auto is_other = [&](std::size_t k) {
+    return objects_[k].renewed || poses_before_.size() != poses.size() ||
+           poses_before_[k] != poses[k];
+  };
   for (std::size_t k = 0; k < objects_.size(); ++k) {
     StageObject& o = objects_[k];
+    bool same = !is_other(k);
+    for (std::size_t i = 0; i < k && same; ++i)
+      same = !is_other(i) || !(o.shares || may_meet(objects_[i].prepared->baked, poses[i],
+                                                    o.prepared->baked, poses[k]));
+    if (same) continue;
     o.shares = false;
     for (std::size_t i = 0; i < k; ++i) {
       const StageObject& other = objects_[i];
@@ -365,19 +348,33 @@ void CompositeStage::combine_object_shadows(const std::vector<Pose>& poses) {
   }
 }
 
+// Whether light_at() can come out otherwise than it last did.
+bool CompositeStage::may_differ(std::size_t index, const RadianceSh& residual,
+                                const Pose& pose) const {
+  const StageObject& o = objects_[index];
+  return !o.light_used || !o.residual_used || o.pose_seen != pose ||
+         (surroundings_.any() && o.hits_seen != surroundings_.hits_version(index)) ||
+         differs_visibly(*o.residual_used, residual);
+}
+
 bool CompositeStage::update_object(std::size_t index, const std::vector<Pose>& poses,
-                                   const lighting::LightEstimate& estimate, bool lights_changed,
+                                   const lighting::LightEstimate& estimate, bool changed,
                                    bool moved) {
   StageObject& o = objects_[index];
   if (!o.visible) {
     surroundings_.want_fine(index, false);
     return false;
   }
-  ObjectLight light = light_at(index, estimate, poses);
+  const RadianceSh& residual =
+      residual_for(estimate, stands_level(o.prepared->baked, poses[index]));
   const bool other_form = moved && o.prepared->animation;
+  if (!changed && !other_form && !may_differ(index, residual, poses[index])) return false;
+  ObjectLight light = light_at(index, estimate, poses);
+  o.pose_seen = poses[index];
+  o.hits_seen = surroundings_.hits_version(index);
   // Its shadow depends on what is behind it, too.
   const bool other_place = surroundings_.any_real() && o.pose_used != poses[index];
-  if (!lights_changed && !other_form && !other_place && o.light_used &&
+  if (!changed && !other_form && !other_place && o.light_used &&
       !differs_visibly(*o.light_used, light))
     return false;
   o.pose_used = poses[index];
@@ -392,6 +389,8 @@ bool CompositeStage::update_object(std::size_t index, const std::vector<Pose>& p
     compose_shadow(index, estimate, poses[index], light);
   }
   o.light_used = light;
+  o.residual_used = residual;
+  o.renewed = true;
   return true;
 }
 
@@ -424,7 +423,7 @@ void CompositeStage::compose_shadow(std::size_t index, const lighting::LightEsti
            light.distant_irradiance;
   };
   const Rgb local = open_floor_irradiance(light.local),
-            open = open_floor_irradiance(light.open) + plane_change_at(index, pose);
+            open = open_floor_irradiance(light.open) + planes_.change_under(baked, pose);
   for (int c = 0; c < 3; ++c) o.of_open[c] = open[c] > 0 ? std::max(0.f, local[c] / open[c]) : 1;
 }
 
@@ -442,6 +441,8 @@ const ResponseTable* CompositeStage::curve_for(ViewCamera& camera, const FramePi
 std::vector<lighting::SaturationRecovery> CompositeStage::recover_lights(
     const capture::Frame& frame, const lighting::LightEstimate& light, const AskForDarker& ask) {
   ViewCamera& camera = views_[static_cast<std::size_t>(frame.camera)];
+  planes_.update(light);
+  if (const auto floor = recovery_.floor()) recovery_.set_beside(planes_.change(*floor));
   auto found = recovery_.observe(frame, camera.info, curve_for(camera, *frame.pixels), light);
   const bool usual_tells = !frame.for_light && recovery_.looked() && !recovery_.overexposed();
   if (usual_tells) camera.darker_factor = kDarker;

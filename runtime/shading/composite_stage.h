@@ -29,12 +29,12 @@
 #include "runtime/shading/floor_recovery.h"
 #include "runtime/shading/lamp_stage.h"
 #include "runtime/shading/object_moves.h"
+#include "runtime/shading/open_planes.h"
 #include "runtime/shading/real_surface_stage.h"
 #include "runtime/shading/scene_light.h"
 #include "runtime/surroundings/ground_probes.h"
 #include "runtime/surroundings/irradiance_cache.h"
 #include "runtime/surroundings/occlusion_probes.h"
-#include "runtime/surroundings/plane_exchange.h"
 #include "runtime/surroundings/plane_light.h"
 #include "shadows/field/planar_shadow.h"
 
@@ -149,6 +149,11 @@ class CompositeStage {
     bool shares = false;
     Rgb of_open{1, 1, 1};             // the local light on the floor, over that of the open floor
     std::optional<Pose> pose_used{};  // as last shaded
+    // The residual that it was last lit by, and what light_at() last saw around it
+    std::optional<RadianceSh> residual_used{};
+    std::optional<Pose> pose_seen{};
+    std::uint32_t hits_seen = 0;
+    bool renewed = false;  // in this update
     const shadows::PlanarShadow& shown() const { return shares ? shared : shadow; }
   };
   struct ViewCamera {
@@ -163,7 +168,9 @@ class CompositeStage {
                  FloorRecovery recovery, const PreparedScene& scene,
                  std::unique_ptr<PreparedScene> moving, StageTimes& times);
   std::shared_ptr<const RelightBases> bases_of(const prt::BakedObject& baked) const;
+  static bool differs_visibly(const RadianceSh& before, const RadianceSh& now);
   static bool differs_visibly(const ObjectLight& before, const ObjectLight& now);
+  bool may_differ(std::size_t index, const RadianceSh& residual, const Pose& pose) const;
   ObjectLight light_at(std::size_t index, const lighting::LightEstimate& light,
                        const std::vector<Pose>& poses) const;
   void see_surroundings(std::size_t index, const lighting::LightEstimate& light,
@@ -212,16 +219,14 @@ class CompositeStage {
   void combine_object_shadows(const std::vector<Pose>& poses);
   void shade_real_mesh(const lighting::LightEstimate& light, const std::vector<Pose>& poses,
                        bool other_form);
-  void light_open_planes(const lighting::LightEstimate& light);
-  Rgb plane_change_at(std::size_t index, const Pose& pose) const;
   void light_planes(const std::vector<Pose>& poses);
   Rgb lost_at(std::size_t point, const RadianceSh& sky) const;
   bool move_objects();
   void place_objects(double seconds);
   bool update_distant_lights(const lighting::LightEstimate& light);
-  bool relight_objects(const lighting::LightEstimate& light, bool lights_changed, bool other_form);
+  bool relight_objects(const lighting::LightEstimate& light, bool all_changed, bool other_form);
   bool update_object(std::size_t index, const std::vector<Pose>& poses,
-                     const lighting::LightEstimate& light, bool lights_changed, bool moved);
+                     const lighting::LightEstimate& light, bool changed, bool moved);
   static bool ask_for_darker(ViewCamera& camera, const capture::Frame& frame,
                              const AskForDarker& ask);
   const ResponseTable* curve_for(ViewCamera& camera, const FramePixels& pixels);
@@ -238,7 +243,7 @@ class CompositeStage {
   RealSurfaceStage real_;
   IrradianceCache gathered_;
   GroundProbes ground_probes_;
-  PlaneExchange exchange_;
+  OpenPlanes planes_;
   std::optional<PlaneLight> plane_light_;  // of this update
   std::vector<Rgb> of_points_, lost_;      // scratch
   std::vector<Rgb> real_ratios_;           // at its vertices, as last shown
@@ -248,8 +253,6 @@ class CompositeStage {
   std::vector<ViewCamera> views_;  // by camera index; unused entries for environment cameras
   std::vector<StageObject> objects_;
   std::vector<Pose> poses_, poses_before_;  // of this update, of the last one
-  std::vector<Rgb> open_;                   // irradiance of each open plane
-  std::vector<Rgb> plane_changes_;          // in it, by the other planes
   Rgb floor_radiance_;                      // in the open; 0: unknown, or not all that is real
   std::vector<compositor::ShadowMapOnPlane> on_planes_;
   bool lit_before_ = false;

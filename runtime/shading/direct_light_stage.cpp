@@ -229,13 +229,14 @@ bool DirectLightStage::may_have_changed(std::size_t object,
 }
 
 // True where there were any.
-bool DirectLightStage::shade_new_hits(TracedLight& t, const OcclusionProbes& around,
-                                      bool all) const {
+bool DirectLightStage::shade_new_hits(TracedLight& t, const OcclusionProbes& around, bool all) {
   t.hit_shade.resize(scene_->objects.size());
   t.hits_version.resize(scene_->objects.size());
   bool any = false;
   for (std::size_t i = 0; i < scene_->objects.size(); ++i) {
-    if (!visible_[i] || (!all && t.hits_version[i] == around.hits_version(i))) continue;
+    const bool others = t.hits_version[i] != around.hits_version(i);
+    if (!visible_[i] || (!all && !others && !may_have_changed(i, t.source))) continue;
+    changed_[i] = 1;
     t.hits_version[i] = around.hits_version(i);
     shade_hits(i, t.source, around, t.hit_shade[i]);
     any = true;
@@ -257,6 +258,7 @@ void DirectLightStage::trace(TracedLight& t, bool all) {
     const PreparedObject& o = scene_->objects[i];
     around_.push_back({poses_[i] * spheres_[i].centre, kAround * spheres_[i].radius});
     if (!all && !may_have_changed(i, t.source)) continue;
+    changed_[i] = 1;
     t.cosine[i].resize(o.baked.mesh.positions.size());
     const prt::Plane own{poses_[i].translation, poses_[i].rotation * glm::dvec3(0, 1, 0), {}, {}};
     // What knows nothing of its own visibility asks rays everywhere, and texels do not share them:
@@ -320,7 +322,8 @@ bool DirectLightStage::update(std::span<const lighting::DistantLight> lights,
       std::ranges::any_of(moved_from_, [](const auto& p) { return p.has_value(); });
   std::swap(traced_, before_);
   traced_.clear();
-  bool changed = false;
+  changed_.assign(scene_->objects.size(), 0);
+  bool changed = false, all_changed = false;
   for (const lighting::DistantLight& source : lights) {
     const auto known =
         std::ranges::find(before_, source.id, [](const TracedLight& t) { return t.source.id; });
@@ -329,7 +332,7 @@ bool DirectLightStage::update(std::span<const lighting::DistantLight> lights,
         std::max(angle_between(t.direction, source.direction), move_of(t.shape, source.shape));
     const double change =
         std::abs(luminance(source.irradiance()) - luminance(t.source.irradiance()));
-    changed |= known == before_.end() || change > kVisibleFraction * mean_irradiance;
+    all_changed |= known == before_.end() || change > kVisibleFraction * mean_irradiance;
     const lighting::DistantLight before = t.source;
     t.source = source;
     const bool fine = traced_.size() < fine_lights;
@@ -347,12 +350,13 @@ bool DirectLightStage::update(std::span<const lighting::DistantLight> lights,
       t.source.radiance = before.radiance;  // small changes add up until they are seen
       t.source.radius = before.radius;
     }
-    changed |= shade_new_hits(t, around, anew || poses_changed);
+    changed |= shade_new_hits(t, around, anew);
     traced_.push_back(std::move(t));
   }
-  changed |= traced_.size() != before_.size();
+  all_changed |= traced_.size() != before_.size();
+  if (all_changed) std::ranges::fill(changed_, 1);
   std::ranges::fill(moved_from_, std::nullopt);
-  return changed;
+  return changed || all_changed;
 }
 
 void DirectLightStage::add_light(std::size_t object, std::span<float> relit) const {

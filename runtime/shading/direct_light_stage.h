@@ -47,6 +47,8 @@ class DirectLightStage {
               const OcclusionProbes& around, std::span<const Rgb> open_irradiance = {},
               std::size_t fine_lights = kAllLights);
   static constexpr std::size_t kAllLights = std::numeric_limits<std::size_t>::max();
+  /// Whether the last update() changed what an object gets of the lights, or reflects of them.
+  bool changed(std::size_t object) const { return changed_[object] != 0; }
 
   /// Mesh i of virtual_things is object i. Of real_things the real mesh is the first, where there
   /// is one; planes follow, where there are several.
@@ -120,7 +122,7 @@ class DirectLightStage {
   /// `all`: the light itself is new or has moved; otherwise only what objects that moved can have
   /// changed.
   void trace(TracedLight& traced, bool all);
-  bool shade_new_hits(TracedLight& traced, const OcclusionProbes& around, bool all) const;
+  bool shade_new_hits(TracedLight& traced, const OcclusionProbes& around, bool all);
   void trace_planes(TracedLight& traced);
   TracedDetail detail_for(const lighting::DistantLight& source, bool fine, const OpenLight& open,
                           const TracedDetail& before) const;
@@ -135,6 +137,7 @@ class DirectLightStage {
   std::vector<char> other_form_;
   std::vector<Pose> poses_;
   std::vector<char> visible_;
+  std::vector<char> changed_;  // by object, see changed()
   std::vector<TracedLight> traced_, before_;
   std::vector<prt::Mesh> quads_;  // as much of each plane as a shadow can come from
   std::vector<shadows::SilhouetteMesh> silhouettes_;  // of the objects, then of real things

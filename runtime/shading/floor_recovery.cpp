@@ -270,7 +270,8 @@ Result<std::vector<lighting::SaturationRecovery>> FloorRecovery::recover(
   if (!lit)
     return fail(ErrorCode::kUndetermined, camera,
                 "shows too little of the floor, or overexposes it");
-  const std::vector<lighting::ShadowRegion> regions = regions_of(floor, *lit, light, clipped);
+  std::vector<lighting::ShadowRegion> regions = regions_of(floor, *lit, light, clipped);
+  for (lighting::ShadowRegion& region : regions) region.beside += beside_;
   lighting::ShadowedSurface surface{floor_->normal, regions};
   if (regions.size() > 1) {
     auto found = lighting::recover_from_shadows(light, surface);

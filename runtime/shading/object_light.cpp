@@ -37,11 +37,12 @@ RadianceSh difference(const RadianceSh& a, const RadianceSh& b) {
 
 }  // namespace
 
+bool CompositeStage::differs_visibly(const RadianceSh& before, const RadianceSh& now) {
+  return !(before == now) && lighting::largest_visible_change(before, now) >= kVisibleChange;
+}
+
 bool CompositeStage::differs_visibly(const ObjectLight& before, const ObjectLight& now) {
-  const auto differs = [](const RadianceSh& a, const RadianceSh& b) {
-    return !(a == b) && lighting::largest_visible_change(a, b) >= kVisibleChange;
-  };
-  bool any = differs(before.open, now.open) || differs(before.local, now.local);
+  bool any = differs_visibly(before.open, now.open) || differs_visibly(before.local, now.local);
   const float visible =
       static_cast<float>(kVisibleChange * luminance(now.open[0]) / std::sqrt(4 * kPi));
   for (std::size_t k = 0; k < now.around.size(); ++k)
@@ -113,8 +114,8 @@ void CompositeStage::find_floor_shadows(std::size_t index, const std::vector<Pos
 }
 
 // A shadow's ratio counts the lights, so that what it takes of the residual is more of that.
-// in: local, the local residual, open, that of the open plane beside other planes, and all, the
-//     latter with distant lights, over the residual without anything real
+// in: over the residual of the plane as if it were alone: local, the local residual, open, the
+//     residual of the plane beside others, and all, that and the distant lights
 CompositeStage::FloorLight CompositeStage::floor_at(const glm::vec3& point,
                                                     std::span<const FloorShadow> floor_shadows,
                                                     float local, float open, float all) {
@@ -157,7 +158,7 @@ void CompositeStage::see_surroundings(std::size_t index, const lighting::LightEs
   std::pmr::vector<FloorShadow> shadows_there(scope.memory());
   find_floor_shadows(index, poses, shadows_there);
   const float residual = luminance(lighting::evaluate(irradiance, up));
-  const float open_residual = residual + luminance(plane_change_at(index, pose));
+  const float open_residual = residual + luminance(planes_.change_under(baked, pose));
   float all = open_residual;
   for (const lighting::DistantLight& d : estimate.lights)
     all += luminance(lighting::irradiance(d, up));

@@ -172,13 +172,48 @@ OcclusionProbes::OcclusionProbes(const PreparedScene& scene)
 }
 
 void OcclusionProbes::update(const shadows::RayOccluders& occluders, std::span<const Pose> poses) {
-  if (!any() || std::ranges::equal(poses, poses_)) return;
-  poses_.assign(poses.begin(), poses.end());
-  still_frames_ = 0;
-  for (std::size_t i = 0; i < poses.size(); ++i) {
-    objects_[i].rays = kRays;
+  if (!any()) return;
+  const bool still = std::ranges::equal(poses, poses_);
+  if (!still) {
+    std::swap(poses_, poses_before_);
+    poses_.assign(poses.begin(), poses.end());
+    still_frames_ = 0;
+    const auto moved = [&](std::size_t k) {
+      return poses_before_.empty() || poses_before_[k] != poses_[k];
+    };
+    for (std::size_t i = 0; i < objects_.size(); ++i)
+      for (std::size_t k = 0; k < objects_.size(); ++k)
+        if (moved(k)) objects_[i].missed += moved(i) ? 1 : swept(i, k, poses_before_[k]);
+  }
+  constexpr double kAtOnce = .05, kVisible = .01;  // as CompositeStage::kVisibleChange
+  // Of those that can wait.
+  const auto next = std::ranges::max_element(
+      objects_, {}, [](const Object& o) { return o.missed < kAtOnce ? o.missed : 0; });
+  const bool any_turn = next->missed < kAtOnce && next->missed > (still ? 0 : kVisible);
+  for (std::size_t i = 0; i < objects_.size(); ++i) {
+    Object& o = objects_[i];
+    if (o.missed < kAtOnce && !(any_turn && &o == &*next)) continue;
+    o.missed = 0;
+    o.rays = kRays;
     look_from(i, occluders);
   }
+}
+
+// How much of what one object sees at most has changed by the way of another, as a fraction of a
+// surface's view by the cosine: the area that its outline went over.
+double OcclusionProbes::swept(std::size_t index, std::size_t moved, const Pose& before) const {
+  constexpr double kForm = .3;  // of its radius, what an outline changes by a radian of turn
+  const Object &here = objects_[index], &there = objects_[moved];
+  const glm::dvec3 centre(there.centre), from = before * centre, to = poses_[moved] * centre,
+                                         at = poses_[index] * glm::dvec3(here.centre);
+  const double radius = double(there.radius),
+               cosine = std::abs(glm::dot(before.rotation, poses_[moved].rotation)),
+               turn = 2 * std::acos(std::min(cosine, 1.)),
+               way = std::min(glm::length(to - from) + kForm * radius * turn, 2 * radius),
+               distance =
+                   std::min(glm::length(from - at), glm::length(to - at)) - double(here.radius) / 2,
+               nearest = std::max(distance, radius);
+  return 2 * radius * way / (kPi * nearest * nearest);
 }
 
 bool OcclusionProbes::refine(const shadows::RayOccluders& occluders, bool at_once) {

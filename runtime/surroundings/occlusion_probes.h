@@ -59,7 +59,9 @@ class OcclusionProbes {
   /// False for an object alone on one plane: nothing needs to be looked at.
   bool any() const { return scene_->objects.size() > 1 || any_real(); }
 
-  /// Looks around from every object. The same again when nothing has moved costs nothing.
+  /// Looks around from what has moved, and from what sees a good deal of it. What sees little of
+  /// it waits, for its turn or until that has come to a visible change. Once all have looked, the
+  /// same again costs nothing.
   /// in:  occluders as made for this scene (as DirectLightStage::occluders)
   void update(const shadows::RayOccluders& occluders, std::span<const Pose> poses);
 
@@ -128,6 +130,7 @@ class OcclusionProbes {
     int rays = kRays;
     bool wants_fine = false;
     std::uint32_t hits_version = 0;
+    double missed = 0;  // of its view, what has changed since it looked
   };
   struct Surroundings;
   struct Met;
@@ -136,12 +139,13 @@ class OcclusionProbes {
                                         const Surroundings& in);
   static std::optional<float> left_at(const Nearby& nearby, const Values& part,
                                       const Values& whole);
+  double swept(std::size_t index, std::size_t moved, const Pose& before) const;
   void look_from(std::size_t index, const shadows::RayOccluders& occluders);
   void look_from_block(Object& object, std::size_t block, const Surroundings& in) const;
 
   const PreparedScene* scene_;
   prt::RayPatterns patterns_{kRays}, fine_patterns_{kFineRays};
-  std::vector<Pose> poses_;
+  std::vector<Pose> poses_, poses_before_;
   int still_frames_ = 0;
   std::vector<Object> objects_;
 };

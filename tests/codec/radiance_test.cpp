@@ -18,8 +18,8 @@ namespace {
 
 using test::TempFolder;
 
-constexpr float kNoRadiance = std::numeric_limits<float>::quiet_NaN();
-constexpr float kEndless = std::numeric_limits<float>::infinity();
+constexpr float kRadianceNan = std::numeric_limits<float>::quiet_NaN();
+constexpr float kRadianceInfinity = std::numeric_limits<float>::infinity();
 
 std::span<const unsigned char> as_bytes(const std::string& text) {
   return {reinterpret_cast<const unsigned char*>(text.data()), text.size()};
@@ -106,8 +106,8 @@ TEST(Radiance, WhatTheFormatCannotHoldBecomesTheNearestThatItCan) {
   const float largest = 255 * 0x1p119f;
   Image<Rgb> image(6, 1);
   image.at(0, 0) = {-1, 2, -3};
-  image.at(1, 0) = {kNoRadiance, 1, kNoRadiance};
-  image.at(2, 0) = {kEndless, 0, 0};
+  image.at(1, 0) = {kRadianceNan, 1, kRadianceNan};
+  image.at(2, 0) = {kRadianceInfinity, 0, 0};
   image.at(3, 0) = {1e-42f, 0, 0};
   image.at(4, 0) = {std::numeric_limits<float>::max(), 0, 0};
   image.at(5, 0) = {.9999f, 0, 0};

@@ -154,6 +154,21 @@ TEST(ThroughSensor, BeforeAWallThatIsAPlaneItIsAsInTheWorld) {
   }
 }
 
+// The floor that tells a saturated sun's power has the wall's light, too, and not that behind it.
+TEST(ThroughSensor, BeforeAPlaneTheSunIsRecoveredToo) {
+  const std::vector<std::string> assets{"builtin:box"};
+  SensorScene scene = sensor_scenes(assets)[0];
+  runtime::RealGeometry wall;
+  wall.plane = {{0, 0, -.6}, {0, 0, 1}};
+  wall.albedo = {.5f, .5f, .5f};
+  scene.scene.real.push_back(wall);
+  const auto got = filmed(scene, sky(), kWebcam);
+  ASSERT_FILMED(got);
+  EXPECT_FALSE(got->lower_bound);
+  EXPECT_LT(got->sensor.shadow_rmse - got->true_map.shadow_rmse, .015);
+  EXPECT_LT(std::abs(got->sensor.object_bias - got->true_map.object_bias), .02);
+}
+
 // What the program would show without the recovery.
 TEST(ThroughSensor, OverAFloorOfUnknownAlbedoTheSunsShadowIsFaintAndNothingIsPromised) {
   SensorScene scene = box_on_floor();

@@ -20,10 +20,10 @@ namespace {
 
 namespace fs = std::filesystem;
 
-constexpr Rgb kSkin{.5f, .5f, .5f};
+constexpr Rgb kGreyAlbedo{.5f, .5f, .5f};
 
 const Character& grey_walker() {
-  static const Character c = make_walker(kSkin);
+  static const Character c = make_walker(kGreyAlbedo);
   return c;
 }
 
@@ -92,7 +92,7 @@ double transfer_error(const Transfer& exact, const Transfer& ours,
 
 // A knot that turns about an axis askew.
 Character spinning_knot() {
-  Character c = test::one_bone(make_knot(.5f, 60, 12, kSkin));
+  Character c = test::one_bone(make_knot(.5f, 60, 12, kGreyAlbedo));
   Clip clip{"Spin", 1, {{0, {}, {}, {}}}, {}};
   const glm::vec3 axis = glm::normalize(glm::vec3(.3f, 1, -.2f));
   for (int k = 0; k <= 8; ++k)
@@ -612,9 +612,9 @@ TEST(Sequence, KeyFramesThatMakeNoSenseAreTold) {
 TEST(Sequence, WhatLiesWithinAnotherPartDoesNotFlicker) {
   // A ball that dips into a box and comes out again: while it is inside its points see only backs
   // of walls.
-  Mesh mesh = make_box({-1, -1, -1}, {1, 1, 1}, 6, kSkin);
+  Mesh mesh = make_box({-1, -1, -1}, {1, 1, 1}, 6, kGreyAlbedo);
   const std::size_t box = mesh.positions.size();
-  append(mesh, make_sphere({0, 0, 0}, .5f, 2, kSkin));
+  append(mesh, make_sphere({0, 0, 0}, .5f, 2, kGreyAlbedo));
   Character c = spinning_knot();
   c.positions = mesh.positions;
   c.normals = mesh.normals;
@@ -662,7 +662,7 @@ TEST(Sequence, DenoisingHelpsAndLeavesExactThingsAlone) {
   EXPECT_LT(error_against(with, reference), .85 * error_against(without, reference));
   // A convex thing blocks nothing: no noise, no change.
   Character ball = spinning_knot();
-  const Mesh sphere = make_sphere({0, 0, 0}, 1, 3, kSkin);
+  const Mesh sphere = make_sphere({0, 0, 0}, 1, 3, kGreyAlbedo);
   ball.positions = sphere.positions;
   ball.normals = sphere.normals;
   ball.albedo = sphere.albedo;

@@ -195,6 +195,53 @@ TEST(OcclusionProbes, OnePlaneIsNotAround) {
   EXPECT_TRUE(probes.by_real(1).empty());
 }
 
+// A ball that turns or creeps leaves its neighbours alone until that has come to a visible change;
+// what jumps is seen at once, and in the end all have looked.
+TEST(OcclusionProbes, OnlyWhatSeesAGoodDealOfAMoveLooksAgain) {
+  test::BallAndWall world({{{-90, 0, -1}, {-90, 1, -1}, {-90, 1, 1}, {-90, 0, 1}}}, {1, 0, 0}, {});
+  world.scene.real_mesh = {};
+  world.scene.planes.push_back({{0, 0, 0}, {0, 1, 0}, {.5f, .5f, .5f}, {}});
+  std::vector<Pose> poses{{}};
+  for (const double x : {.8, 1.6, 8.}) {
+    world.scene.objects.push_back(world.scene.objects[0]);
+    ASSERT_TRUE(world.virtual_things->add(world.scene.objects[0].baked.mesh));
+    poses.push_back({{1, 0, 0, 0}, dvec3(x, 0, 0)});
+  }
+  OcclusionProbes probes(world.scene);
+  const auto looks_after = [&](std::size_t moved, const Pose& pose) {
+    std::array<std::uint32_t, 4> before{}, out{};
+    for (std::size_t i = 0; i < 4; ++i) before[i] = probes.hits_version(i);
+    poses[moved] = pose;
+    for (std::size_t i = 0; i < 4; ++i)
+      world.virtual_things->set_pose(static_cast<int>(i), poses[i]);
+    probes.update(world.occluders(), poses);
+    for (std::size_t i = 0; i < 4; ++i) out[i] = probes.hits_version(i) - before[i];
+    return out;
+  };
+  using Looks = std::array<std::uint32_t, 4>;
+  EXPECT_EQ(looks_after(0, {}), (Looks{1, 1, 1, 1})) << "the first time";
+  const auto turned = [](double angle) {
+    return Pose{glm::angleAxis(angle, dvec3(0, 1, 0)), {0, 0, 0}};
+  };
+  EXPECT_EQ(looks_after(0, turned(.01)), (Looks{1, 0, 0, 0})) << "a turntable";
+  EXPECT_EQ(looks_after(0, {{1, 0, 0, 0}, dvec3(0, 0, 1)}), (Looks{1, 1, 1, 0})) << "a jump";
+  EXPECT_EQ(looks_after(0, poses[0]), (Looks{0, 0, 0, 1})) << "all stand: the last has its turn";
+  // It creeps: the nearest has its turn first, the farthest hardly ever.
+  Looks sum{};
+  for (int step = 0; step < 60; ++step) {
+    const Looks now = looks_after(0, {{1, 0, 0, 0}, dvec3(0, 0, .99 - .01 * step)});
+    EXPECT_LE(now[1] + now[2] + now[3], 1u) << step;
+    for (std::size_t i = 0; i < 4; ++i) sum[i] += now[i];
+  }
+  EXPECT_EQ(sum[0], 60u);
+  EXPECT_GT(sum[1], sum[2]);
+  EXPECT_GT(sum[2], sum[3]);
+  EXPECT_LT(sum[1], 20u);
+  // Then all stand: each looks once more at most, and then none does.
+  for (int frame = 0; frame < 4; ++frame) (void)looks_after(0, poses[0]);
+  EXPECT_EQ(looks_after(0, poses[0]), Looks{});
+}
+
 TEST(OcclusionProbes, AnObjectAloneOnAFloorSeesNothing) {
   PreparedScene scene;
   scene.planes.push_back({{0, 0, 0}, {0, 1, 0}, {.5f, .5f, .5f}, {}});

@@ -23,23 +23,57 @@ RadianceSh even_light() {
   return out;
 }
 
-// Each fills half of the other's hemisphere, from whatever distance.
+// What planes see of each other by the cosine is (1 - n.n')/2, from whatever distance and also
+// where the wall leans back and the floor before it is all that it sees.
 TEST(PlaneExchange, AFloorBeforeAWallHasHalfOfTheSky) {
   const RadianceSh light = even_light();
   const std::array<const RadianceSh*, 2> residuals{&light, &light};
-  // f = a_f (1 + w)/2 and w = a_w (1 + f)/2
-  const double f = kFloorAlbedo * (1 + kWallAlbedo / 2.) / 2 /
-                   (1 - kFloorAlbedo * kWallAlbedo / 4.),
-               w = kWallAlbedo * (1 + f) / 2;
-  for (const double distance_m : {.3, 30.}) {
-    const std::vector<prt::Plane> planes = floor_and_wall(distance_m);
-    const PlaneExchange exchange(planes, {0, 0, 0});
-    ASSERT_TRUE(exchange.any());
-    std::array<Rgb, 2> changes;
-    exchange.changes(residuals, {}, changes);
-    EXPECT_NEAR(changes[0].g, kPi * (w - 1) / 2, .01) << distance_m;
-    EXPECT_NEAR(changes[1].g, kPi * (f - 1) / 2, .01) << distance_m;
-  }
+  for (const double distance_m : {.3, 30.})
+    for (const double lean_deg : {-20., -1., 0., 1., 20., 60.}) {
+      std::vector<prt::Plane> planes = floor_and_wall(distance_m);
+      const double lean = lean_deg * kPi / 180;
+      planes[1].normal = {0, std::sin(lean), std::cos(lean)};
+      const double seen = (1 - planes[1].normal.y) / 2;
+      // f = a_f (1 - seen + seen w) and w = a_w (1 - seen + seen f)
+      const double f = kFloorAlbedo * (1 - seen) * (1 + seen * kWallAlbedo) /
+                       (1 - seen * seen * kFloorAlbedo * kWallAlbedo),
+                   w = kWallAlbedo * (1 - seen + seen * f);
+      const PlaneExchange exchange(planes, {0, 0, 0});
+      ASSERT_TRUE(exchange.any());
+      std::array<Rgb, 2> changes;
+      exchange.changes(residuals, {}, changes);
+      EXPECT_NEAR(changes[0].g, kPi * seen * (w - 1), .02) << distance_m << " " << lean_deg;
+      EXPECT_NEAR(changes[1].g, kPi * seen * (f - 1), .02) << distance_m << " " << lean_deg;
+    }
+}
+
+// Walls all around, a ceiling: no light comes in.
+TEST(PlaneExchange, AClosedRoomIsDark) {
+  const RadianceSh light = even_light();
+  const std::vector<const RadianceSh*> residuals(6, &light);
+  std::vector<prt::Plane> planes;
+  for (int axis = 0; axis < 3; ++axis)
+    for (const double side : {-1., 1.}) {
+      prt::Plane wall;
+      wall.point = wall.normal = glm::dvec3(0);
+      wall.point[axis] = 2 * side, wall.normal[axis] = -side;
+      wall.albedo = {.7f, .7f, .7f};
+      planes.push_back(wall);
+    }
+  std::vector<Rgb> changes(6);
+  PlaneExchange(planes, {0, -2, 0}).changes(residuals, {}, changes);
+  for (const Rgb& change : changes) EXPECT_NEAR(change.g, -kPi, .02);
+}
+
+// Nobody knows what it sends, and the map may show it.
+TEST(PlaneExchange, AWallOfUnknownAlbedoHidesNothing) {
+  std::vector<prt::Plane> planes = floor_and_wall(.5);
+  planes[1].albedo = {};
+  const RadianceSh light = even_light();
+  const std::array<const RadianceSh*, 2> residuals{&light, &light};
+  std::array<Rgb, 2> changes;
+  PlaneExchange(planes, {0, 0, 0}).changes(residuals, {}, changes);
+  EXPECT_EQ(changes[0].g, 0);
 }
 
 // What the wall sends of a sun before it reaches the floor; a sun behind it lights neither.
@@ -61,6 +95,14 @@ TEST(PlaneExchange, ASunCountsWhereItShines) {
                w = kWallAlbedo * (on_wall + f / 2);
   EXPECT_NEAR(changes[0].g / (w / 2), 1, .01);
   EXPECT_NEAR(changes[1].g / (f / 2), 1, .01);
+  // A window that the wall's edge divides counts by half.
+  sun.direction = {0, 1, 0};
+  for (int i = 0; i < lighting::DistantLight::kShapePoints; ++i)
+    sun.shape.push_back(glm::normalize(glm::dvec3(0, 2, i % 2 ? .5 : -.5)));
+  exchange.changes(residuals, {&sun, 1}, changes);
+  const double half = kFloorAlbedo * lighting::irradiance(sun, {0, 1, 0}).g / 2;
+  EXPECT_GT(changes[1].g, .45 * half);
+  sun.shape.clear();
   sun.direction = glm::normalize(glm::dvec3(0, 1, -2));
   exchange.changes(residuals, {&sun, 1}, changes);
   EXPECT_EQ(changes[0].g, 0);
@@ -68,7 +110,7 @@ TEST(PlaneExchange, ASunCountsWhereItShines) {
 }
 
 TEST(PlaneExchange, APlaneAloneLosesNothing) {
-  const std::vector<prt::Plane> planes{{}};
+  const std::vector<prt::Plane> planes(1);
   EXPECT_FALSE(PlaneExchange(planes, {0, 0, 0}).any());
   // A second one below it, that faces the same way, is seen by nobody either.
   const std::vector<prt::Plane> stacked{{}, {{0, -1, 0}, {0, 1, 0}, {}, {}}};

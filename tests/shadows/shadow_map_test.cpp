@@ -313,7 +313,7 @@ TEST(ShadowMap, AFormTakesTheDirectionsThatItsReachNeeds) {
 INSTANTIATE_TEST_SUITE_P(
     Of, ShadowOnPlane,
     testing::Values(
-        Setting{"map_knot", [] { return one(map_knot()); }, nothing},
+        Setting{"knot", [] { return one(map_knot()); }, nothing},
         Setting{"knot_wide", [] { return one(map_knot()); }, nothing, 40, 12},
         Setting{"knot_at_sunset", [] { return one(map_knot()); }, nothing, 14},
         Setting{"knot_under_zenith", [] { return one(map_knot()); }, nothing, 90, 5},

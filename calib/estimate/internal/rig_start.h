@@ -8,7 +8,7 @@
 
 namespace penumbra::calib {
 
-/// What no views of a rig determine.
+/// The error of a rig that its views do not determine.
 std::unexpected<Error> rig_undetermined(std::string detail);
 
 struct RigStart {
