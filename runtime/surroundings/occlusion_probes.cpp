@@ -172,7 +172,7 @@ OcclusionProbes::OcclusionProbes(const PreparedScene& scene)
 }
 
 void OcclusionProbes::update(const shadows::RayOccluders& occluders, std::span<const Pose> poses) {
-  if (!any()) return;
+  if (!any() || objects_.empty()) return;
   const bool still = std::ranges::equal(poses, poses_);
   if (!still) {
     std::swap(poses_, poses_before_);
