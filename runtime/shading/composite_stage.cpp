@@ -441,8 +441,6 @@ const ResponseTable* CompositeStage::curve_for(ViewCamera& camera, const FramePi
 std::vector<lighting::SaturationRecovery> CompositeStage::recover_lights(
     const capture::Frame& frame, const lighting::LightEstimate& light, const AskForDarker& ask) {
   ViewCamera& camera = views_[static_cast<std::size_t>(frame.camera)];
-  planes_.update(light);
-  if (const auto floor = recovery_.floor()) recovery_.set_beside(planes_.change(*floor));
   auto found = recovery_.observe(frame, camera.info, curve_for(camera, *frame.pixels), light);
   const bool usual_tells = !frame.for_light && recovery_.looked() && !recovery_.overexposed();
   if (usual_tells) camera.darker_factor = kDarker;

@@ -175,6 +175,7 @@ Result<FloorRecovery> FloorRecovery::create(const PreparedScene& scene) {
           (known ? luminance(plane.albedo) > 0 : !scene.real_mesh.triangles.empty()) &&
           std::ranges::any_of(scene.objects, stands_on(plane)))
         out.floor_ = &plane;
+  if (out.floor_) out.planes_.emplace(scene);
   if (out.floor_ && !scene.real_mesh.triangles.empty()) {
     PENUMBRA_ASSIGN(real, prt::RayScene::build(scene.real_mesh));
     out.real_ = std::move(real);
@@ -271,7 +272,9 @@ Result<std::vector<lighting::SaturationRecovery>> FloorRecovery::recover(
     return fail(ErrorCode::kUndetermined, camera,
                 "shows too little of the floor, or overexposes it");
   std::vector<lighting::ShadowRegion> regions = regions_of(floor, *lit, light, clipped);
-  for (lighting::ShadowRegion& region : regions) region.beside += beside_;
+  planes_->update(light);
+  const Rgb& by_planes = planes_->change(static_cast<std::size_t>(floor_ - scene_->planes.data()));
+  for (lighting::ShadowRegion& region : regions) region.beside += by_planes;
   lighting::ShadowedSurface surface{floor_->normal, regions};
   if (regions.size() > 1) {
     auto found = lighting::recover_from_shadows(light, surface);

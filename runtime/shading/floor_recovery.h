@@ -15,6 +15,7 @@
 #include "prt/geometry/plane.h"
 #include "prt/geometry/rays.h"
 #include "runtime/scene/scene.h"
+#include "runtime/shading/open_planes.h"
 #include "runtime/surroundings/floor_irradiance.h"
 
 namespace penumbra::runtime {
@@ -35,13 +36,6 @@ class FloorRecovery {
   /// errors: kUnavailable (Embree)
   static Result<FloorRecovery> create(const PreparedScene& scene);
   bool idle() const { return floor_ == nullptr; }
-  /// The plane that is measured, by its number in the scene.
-  std::optional<std::size_t> floor() const {
-    if (idle()) return {};
-    return static_cast<std::size_t>(floor_ - scene_->planes.data());
-  }
-  /// What other planes change of its irradiance.
-  void set_beside(const Rgb& irradiance) { beside_ = irradiance; }
 
   /// in:  a view frame of `camera`, its light on the scale of the environment camera's; curve as
   /// compositor::View
@@ -84,7 +78,7 @@ class FloorRecovery {
 
   const PreparedScene* scene_ = nullptr;
   const prt::Plane* floor_ = nullptr;
-  Rgb beside_{};                       // see set_beside
+  std::optional<OpenPlanes> planes_;   // where there is a floor
   std::optional<prt::RayScene> real_;  // may stand before the floor, or before a light
   std::optional<TimestampNs> last_;
   std::vector<int> tried_;  // lights of the last attempt

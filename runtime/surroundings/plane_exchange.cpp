@@ -9,18 +9,13 @@
 #include "core/threads/scratch.h"
 #include "lighting/sh/basis.h"
 #include "lighting/sh/irradiance.h"
+#include "prt/geometry/ray_pattern.h"
 #include "prt/geometry/rays.h"
 #include "runtime/surroundings/real_point.h"
 
 namespace penumbra::runtime {
 
 namespace {
-
-// Even in the disc under the hemisphere, which is by the cosine above it.
-glm::vec3 cosine_direction(int i) {
-  const double r2 = (i + .5) / PlaneExchange::kRays, turn = i * kPi * (3 - std::sqrt(5.));
-  return {std::sqrt(r2) * std::cos(turn), std::sqrt(r2) * std::sin(turn), std::sqrt(1 - r2)};
-}
 
 // On a plane, near a point and in front of all planes that it runs into: beyond them it is not to
 // be seen.
@@ -53,13 +48,19 @@ int plane_in(std::span<const prt::Plane> planes, const glm::vec3& from, const gl
 PlaneExchange::PlaneExchange(std::span<const prt::Plane> planes, const glm::dvec3& middle)
     : planes_(planes), seen_(planes.size()) {
   constexpr float kOfRay = 1.f / kRays;
+  const prt::RayPatterns patterns(kRays);
+  prt::RayScene::RayPacket directions;
   for (std::size_t p = 0; p < planes.size(); ++p) {
     SeenByPlane& seen = seen_[p];
     seen.from = glm::vec3(place_on(planes, p, middle));
     seen.factors.resize(planes.size());
     const glm::mat3 frame = prt::frame_around(glm::vec3(planes[p].normal));
-    for (int i = 0; i < kRays; ++i) {
-      const glm::vec3 direction = frame * cosine_direction(i);
+    for (int ray = 0; ray < kRays; ++ray) {
+      const int lane = ray % prt::RayScene::kPacket;
+      if (lane == 0)
+        patterns.cosine_block(prt::RayPatterns::turn_of(p), ray / prt::RayScene::kPacket, frame,
+                              directions);
+      const glm::vec3 direction(directions.x[lane], directions.y[lane], directions.z[lane]);
       const int met = plane_in(planes, seen.from, direction, p);
       if (met == RealPoint::kMesh) continue;
       any_ = true;
