@@ -22,7 +22,7 @@ prt/geometry prt/transfer prt/bake prt/clip prt/reference
 shadows/silhouette shadows/field shadows/visibility
 compositor compositor/layers compositor/pixels compositor/composite
 runtime/scene runtime/surroundings runtime/shading runtime/pipeline runtime/studio service
-tools/common tools/runs tools/pictures tools/demo tools/penumbrad tools/penumbra tools/calibrate
+tools/common tools/plots tools/runs tools/pictures tools/demo tools/penumbrad tools/penumbra tools/calibrate
 tools/chart/measures tools/chart/governor tools/chart/benches tools/chart/peers tools/chart""".split()
 # All public headers of a room, for programs and tests; the library itself includes what it needs.
 UMBRELLAS = {f"{room}/{room}.h" for room in ("calib", "capture", "lighting", "prt", "shadows")}

@@ -3,10 +3,11 @@
 
 usage: docs_test.py ROOT [BIN_FOLDER]
 
-Checks links, widths of lines (of C++, Python and bash, too), lengths of pages and sentences and,
-with BIN_FOLDER, that each flag that the programs know is documented, and no other; that tests which
-tests/measuring_tests.txt names exist. names_test.py checks keys and other names. Every check first
-runs on made-up faults: one that sees nothing cannot pass.
+Checks links, widths of lines (of C++, Python and bash, too), lengths of pages and sentences; that
+functions stand in the files that tables name; that tests which tests/measuring_tests.txt names
+exist; with BIN_FOLDER, that each flag that the programs know is documented, and no other.
+names_test.py checks keys and other names. Every check first runs on made-up faults: one that sees
+nothing cannot pass.
 """
 import posixpath
 import re
@@ -129,6 +130,22 @@ def kind_of_code(path):
     return path.read_text(encoding="utf-8").split("\n", 1)[0].rpartition(" ")[2]
 
 
+def missing_functions(path, text, read):
+    """Rows of tables `step | function | file` whose file has no such function; read(file) gives its
+    text or None."""
+    found = []
+    for number, kind, line in lines_of(text):
+        cells = [cell.strip() for cell in line.strip("| ").split("|")]
+        if kind != "table" or len(cells) != 3 or not re.fullmatch(r"`[\w:]+`", cells[1]):
+            continue
+        name, file = cells[1].strip("`"), cells[2].strip("`")
+        code = read(file)
+        own = name if file.endswith(".cpp") else name.rpartition("::")[2]
+        if code is None or not re.search(rf"\b{own}\(", code):
+            found.append(f"{path}:{number}: {name}: not in {file}")
+    return found
+
+
 def long_pages(path, text):
     lines = text.splitlines()
     if path == "README.md" and len(lines) > README_LINES:
@@ -235,6 +252,9 @@ def self_test():
         wide_code("a.cpp", f'f(R"({"x" * 200}\n{"x" * 200})");\n' + "x" * 100, ".cpp"),
         wide_code("a.h", f'R"j({"x" * 200})" )j"\n' + 'R"(")" ' + "x" * 90, ".h"),
         wide_code("a.py", "x" * CODE_COLUMNS[".py"] + "\n" + "ä" * 100, ".py"),
+        missing_functions("a.md", "| way | `A::b` | `a.cpp` |\n| x | y | z |\n| x | `b` | `a.cpp` |",
+                          lambda _: "int A::b(int)"),
+        missing_functions("a.md", "| way | `A::b` | `a.h` |", lambda _: "int b(int)"),
         long_pages("README.md", "x\n" * 120), long_pages("CHANGELOG.md", "# C\n## 1" + "\nx" * 39),
         long_sentences("a.md", "Short. Short.\n\n" + sentence + f"\n\n- [{sentence}](x)\n"),
         wrong_flags({"penumbra demo": {"-o", "--out"}}, flags),
@@ -242,6 +262,8 @@ def self_test():
     ]
     wrong = [
         unknown_tests("A.C\n", ["TEST(A, B) {}"]),
+        missing_functions("a.md", "| way | `A::c` | `a.cpp` |", lambda _: "int A::b(int)"),
+        missing_functions("a.md", "| way | `A::b` | `a.cpp` |", lambda _: None),
         broken_links({"a.md": "[x](no.md)"}, has),
         broken_links({"a.md": "[x](b.md#no)", "b.md": page}, has),
         broken_links({"a.md": "[x](#no)"}, has), broken_links({"a.md": "\n![x](no.jpg)"}, has),
@@ -277,10 +299,13 @@ def main(arguments):
     def texts(*kinds):
         return {f.relative_to(root).as_posix(): f.read_text(encoding="utf-8")
                 for f in files if f.suffix in kinds}
+    def source_of(file):
+        return (root / file).read_text(encoding="utf-8") if (root / file).is_file() else None
     pages = texts(".md")
     faults = self_test() + broken_links(pages, lambda path: (root / path).exists())
     for path, text in pages.items():
         faults += wide_lines(path, text) + long_pages(path, text)
+        faults += missing_functions(path, text, source_of)
         if path.startswith("docs/") or path in ("README.md", "CONTRIBUTING.md"):
             faults += long_sentences(path, text)
     code = [(f, kind) for f in files if f.is_file() and (kind := kind_of_code(f)) in CODE_COLUMNS]

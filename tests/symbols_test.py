@@ -1,11 +1,12 @@
 #!/usr/bin/env python3
-"""Fails when a program of the product links evaluation or a solver.
+"""Fails when a program of the product links evaluation, a solver or plots.
 
-usage: symbols_test.py --chart PROGRAM ARCHIVE... --calibrate PROGRAM ARCHIVE --product PROGRAM...
+usage: symbols_test.py --chart PROGRAM ARCHIVE... --calibrate PROGRAM ARCHIVE --plots ARCHIVE
+                       --product PROGRAM...
 
 The functions of the chart's archives may be in no product and not in --calibrate, those of the
-solvers' archive in no product. The chart must show some of each of its archives, and so must
---calibrate: a check that sees nothing cannot pass.
+solvers' and the plots' archive in no product. The chart must show some of each of its archives and
+of the plots, and so must --calibrate: a check that sees nothing cannot pass.
 """
 import argparse
 import re
@@ -43,13 +44,15 @@ def of_archives(program, archives, faults):
 
 def main(arguments):
     parser = argparse.ArgumentParser(usage=__doc__)
-    for name in ("--chart", "--calibrate", "--product"):
+    for name in ("--chart", "--calibrate", "--plots", "--product"):
         parser.add_argument(name, nargs="+", required=True)
     options = parser.parse_args(arguments)
     faults = []
     evaluation = of_archives(options.chart[0], options.chart[1:], faults)
     calibrate = options.calibrate[0]
     solvers = of_archives(calibrate, options.calibrate[1:], faults)
+    plots = of_archives(calibrate, options.plots, faults)
+    of_archives(options.chart[0], options.plots, faults)
     if "ceres::" not in symbols(calibrate):
         faults.append(f"{calibrate}: shows no Ceres: the check is blind")
     for program in [calibrate] + options.product:
@@ -58,7 +61,8 @@ def main(arguments):
             faults.append(f"{program}: shows no functions: the check is blind")
         faults += [f"{program}: links {name}" for name in sorted(shown & evaluation)]
     for program in options.product:
-        faults += [f"{program}: links {name}" for name in sorted(functions(program) & solvers)]
+        faults += [f"{program}: links {name}"
+                   for name in sorted(functions(program) & (solvers | plots))]
         if "ceres::" in symbols(program):
             faults.append(f"{program}: links Ceres")
     for line in faults:

@@ -1,4 +1,4 @@
-// Private to capture: whether two samples of a pixel can show the same radiance.
+// Whether two samples of a pixel can show the same radiance.
 #pragma once
 
 #include <array>

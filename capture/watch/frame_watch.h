@@ -1,4 +1,4 @@
-// Private to hdr: what a ring does to a frame before it is merged, and says of its camera.
+// What a ring does to a frame before it is merged, and says of its camera.
 #pragma once
 
 #include <string>

@@ -1,4 +1,4 @@
-// Private to hdr: bands of light on the mains under a rolling shutter.
+// Bands of light on the mains under a rolling shutter.
 #pragma once
 
 #include <array>

@@ -1,5 +1,4 @@
-// Private to hdr: what each exposure of a camera shows in the mean of late, beside what a frame
-// shows.
+// What each exposure of a camera shows in the mean of late, beside what a frame shows.
 #pragma once
 
 #include <cstdint>

@@ -1,4 +1,4 @@
-// Private to hdr: finds a camera whose white balance follows its pictures.
+// Finds a camera whose white balance follows its pictures.
 #pragma once
 
 #include <optional>

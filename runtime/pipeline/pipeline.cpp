@@ -11,6 +11,7 @@
 #include "runtime/pipeline/governor_config.h"
 #include "runtime/pipeline/light_estimation_stage.h"
 #include "runtime/pipeline/runner.h"
+#include "runtime/pipeline/stage_access.h"
 #include "runtime/shading/composite_stage.h"
 
 namespace penumbra {
@@ -235,8 +236,8 @@ StageTimes& Pipeline::timings() {
 const runtime::PreparedScene& Pipeline::scene() const {
   return *impl_->scene;
 }
-runtime::CompositeStage& Pipeline::stage() {
-  return *impl_->composite;
+runtime::CompositeStage& runtime::StageAccess::stage_of(Pipeline& pipeline) {
+  return *pipeline.impl_->composite;
 }
 compositor::Compositor& Pipeline::output() {
   return impl_->composite->output();

@@ -29,7 +29,7 @@ namespace compositor {
 class Compositor;
 }
 namespace runtime {
-class CompositeStage;
+struct StageAccess;
 }
 
 struct PipelineOptions {
@@ -124,12 +124,11 @@ class Pipeline {
   /// threads: thread-safe
   StageTimes& timings();
   const runtime::PreparedScene& scene() const;
-  /// For measurements in this repository: its header is not installed.
-  runtime::CompositeStage& stage();
   /// What draws; it shows pictures where has_window().
   compositor::Compositor& output();
 
  private:
+  friend struct runtime::StageAccess;
   struct Impl;
   explicit Pipeline(std::unique_ptr<Impl> impl);
   std::unique_ptr<Impl> impl_;

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <bit>
 #include <cmath>
+#include <glm/gtx/quaternion.hpp>
 #include <utility>
 
 #include "lighting/lights/distant_light.h"
@@ -51,20 +52,20 @@ Rgb fraction_of(const lighting::DistantLight& source, const prt::Plane& plane,
   return fraction;
 }
 
-// As much of a plane as a shadow can come from.
-prt::Mesh far_quad(const prt::Plane& plane) {
-  constexpr double kHalf = 100;  // metres
-  const glm::dvec3 side = glm::normalize(glm::cross(plane.normal, std::abs(plane.normal.y) < .9
-                                                                      ? glm::dvec3(0, 1, 0)
-                                                                      : glm::dvec3(1, 0, 0))),
-                   up = glm::cross(side, plane.normal);
+// As much of a plane as a shadow can come from, and where it lies: its own frame has the normal as
+// its y axis, so that its bounds are as flat as it is.
+prt::Mesh far_quad(const Rgb& albedo) {
+  constexpr float kHalf = 100;  // metres
   prt::Mesh quad;
-  for (const glm::dvec2 c : {glm::dvec2(-1, -1), {-1, 1}, {1, 1}, {1, -1}})
-    quad.positions.emplace_back(plane.point + kHalf * (c.x * side + c.y * up));
-  quad.normals.assign(4, glm::vec3(plane.normal));
-  quad.albedo.assign(4, plane.albedo);
+  for (const glm::vec2 c : {glm::vec2(-1, -1), {-1, 1}, {1, 1}, {1, -1}})
+    quad.positions.emplace_back(kHalf * c.x, 0, kHalf * c.y);
+  quad.normals.assign(4, {0, 1, 0});
+  quad.albedo.assign(4, albedo);
   quad.triangles = {{0, 1, 2}, {0, 2, 3}};
   return quad;
+}
+Pose pose_of(const prt::Plane& plane) {
+  return {glm::rotation(glm::dvec3(0, 1, 0), plane.normal), plane.point};
 }
 
 }  // namespace
@@ -84,10 +85,12 @@ Result<DirectLightStage> DirectLightStage::create(const PreparedScene& scene,
   if (!scene.real_mesh.triangles.empty()) PENUMBRA_TRY(stage.add_real_mesh());
   // One plane blocks only what comes from behind it, which nobody counts anyway.
   for (std::size_t p = 0; p < scene.planes.size() && scene.planes.size() > 1; ++p) {
-    const prt::Mesh& quad = stage.quads_.emplace_back(far_quad(scene.planes[p]));
+    const prt::Mesh& quad = stage.quads_.emplace_back(far_quad(scene.planes[p].albedo));
+    const Pose place = pose_of(scene.planes[p]);
     const auto index = stage.real_.add(quad);
     if (!index) return fail(index.error().code, "real plane", index.error().detail);
-    stage.add_caster(quad, {}, stage.real_casters_);
+    stage.real_.set_pose(*index, place);
+    stage.add_caster(quad, place, stage.real_casters_);
     for (std::size_t other = 0; other < scene.planes.size(); ++other)
       if (other != p) stage.real_on_[other].push_back(stage.real_casters_.back());
   }

@@ -34,11 +34,11 @@ void OpenPlanes::update(const lighting::LightEstimate& light) {
   for (const prt::Plane& plane : scene_->planes)
     residuals_.push_back(&residual_for(light, plane.normal.y > kLevel));
   exchange_.changes(residuals_, light.lights, changes_);
-  constexpr float kLeast = .02f;
+  constexpr float kMinFraction = .02f;
   for (std::size_t p = 0; p < irradiance_.size(); ++p)
     for (int c = 0; c < 3; ++c) {
       const float alone = irradiance_[p][c];
-      irradiance_[p][c] = std::max(alone + changes_[p][c], kLeast * alone);
+      irradiance_[p][c] = std::max(alone + changes_[p][c], kMinFraction * alone);
       changes_[p][c] = irradiance_[p][c] - alone;
     }
 }

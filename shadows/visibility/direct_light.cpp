@@ -183,15 +183,16 @@ void plan_all(const Caster& object, const lighting::DistantLight& source, int sa
 
 // By what the object's visibility map says. Of what else stands between it knows nothing: that
 // can only take more.
-void plan_unsure(const lighting::DistantLight& source, bool others_between,
-                 std::span<const VisibilityVerdict> verdict, const Teller& tell, RayPlan& plan) {
+void plan_unsure(const lighting::DistantLight& source, const CastersBetween& others,
+                 std::span<const glm::vec3> positions, std::span<const VisibilityVerdict> verdict,
+                 const Teller& tell, RayPlan& plan) {
   std::vector<std::uint32_t>& beside_others = is_wide(source) ? plan.all : plan.one;
   for (std::uint32_t i = 0; i < verdict.size(); ++i) {
     switch (verdict[i]) {
       case VisibilityVerdict::kTurnedAway:
         break;
       case VisibilityVerdict::kLit:
-        if (others_between) {
+        if (others.may_shade(positions[i])) {
           beside_others.push_back(i);
           break;
         }
@@ -202,7 +203,7 @@ void plan_unsure(const lighting::DistantLight& source, bool others_between,
         break;
       case VisibilityVerdict::kMaybeDark:
       case VisibilityVerdict::kMaybeLit:
-        (others_between ? plan.all : plan.two).push_back(i);
+        (others.may_shade(positions[i]) ? plan.all : plan.two).push_back(i);
         break;
       case VisibilityVerdict::kMixed:
         plan.all.push_back(i);
@@ -243,8 +244,8 @@ void follow_edges(const VertexTracer& tracer, const prt::Mesh& mesh,
 }
 
 void trace_vertices(const VertexTracer& tracer, const Caster& object,
-                    const lighting::DistantLight& source, LookupUse use, int samples,
-                    const Teller& tell, Sums& sums) {
+                    const lighting::DistantLight& source, const CastersBetween& others,
+                    LookupUse use, int samples, const Teller& tell, Sums& sums) {
   thread_local std::vector<VisibilityVerdict> verdict;  // grow once per thread
   thread_local RayPlan plan;
   plan.clear();
@@ -252,12 +253,31 @@ void trace_vertices(const VertexTracer& tracer, const Caster& object,
     plan_all(object, source, samples, plan);
   } else {
     scout(object, source, verdict);
-    plan_unsure(source, use == LookupUse::kScoutAmongOthers, verdict, tell, plan);
+    plan_unsure(source, others, object.mesh->positions, verdict, tell, plan);
   }
   tracer.trace(plan.all, 0, static_cast<std::size_t>(samples), sums);
   tracer.trace(plan.one, 0, 1, sums);
   ask_twice(tracer, verdict, samples, tell, plan.two, sums);
   follow_edges(tracer, *object.mesh, source, samples, plan, sums);
+}
+
+// Vertices of which the map is not all that there is to know: rays find what else stands between.
+// What the object itself keeps dark stays so.
+void trace_among_others(const VertexTracer& tracer, const prt::Mesh& mesh,
+                        const CastersBetween& others, int samples, int smoothing, Sums& sums) {
+  thread_local std::vector<std::uint32_t> reached;  // grow once per thread
+  thread_local Sums shared;
+  reached.clear();
+  for (std::uint32_t i = 0; i < sums.size(); ++i)
+    if (sums[i].seen > 0 && others.may_shade(mesh.positions[i])) reached.push_back(i);
+  if (reached.empty()) return;
+  for (const std::uint32_t i : reached) sums[i] = {};
+  tracer.trace(reached, 0, static_cast<std::size_t>(samples), sums);
+  if (smoothing == 0) return;
+  // What is looked up has no noise that neighbours could share.
+  shared = sums;
+  smooth_over_neighbours(mesh, smoothing, shared);
+  for (const std::uint32_t i : reached) sums[i] = shared[i];
 }
 
 }  // namespace
@@ -273,26 +293,28 @@ void trace_direct_light(const RayOccluders& occluders, const ShadowCasters& cast
   Sums& sums = sums_memory;
   const bool hard = samples == 1;
   const std::size_t count = mesh.positions.size();
-  const LookupUse use = lookup_use(casters, object, source, samples);
+  const LookupUse use = lookup_use(object, source, samples);
   const bool looked_up = use == LookupUse::kCoarse || use == LookupUse::kFine;
-  // Neighbours share what few rays find; what is looked up has no noise that they could average.
-  const bool averaged = !hard && !looked_up && is_wide(source) &&
-                        penumbra_exceeds_edges(source, *object.silhouette),
+  const CastersBetween others(casters, object, source);
+  const bool averaged =
+                 !hard && is_wide(source) && penumbra_exceeds_edges(source, *object.silhouette),
              cut = !hard && is_cut(plane, source);
   all.make(source, cut ? kMaxSamples : std::max(samples, kOpenSamples), 1);
+  pattern.make(source, samples, hard ? 1 : kTurns);
+  if (cut) pattern.keep_before(*plane);
+  const VertexTracer tracer(occluders, mesh, object.world_from_mesh, plane, pattern);
+  const int smoothing = averaged ? smoothing_passes(source) : 0;
   if (looked_up) {
     sums.resize(count);
     const int cells =
         use == LookupUse::kCoarse ? prt::VisibilityMap::kCells : prt::VisibilityMap::kFineCells;
     look_up(object, plane, source, cells, sums);
+    if (others.any()) trace_among_others(tracer, mesh, others, samples, smoothing, sums);
   } else {
     sums.assign(count, {});
-    pattern.make(source, samples, hard ? 1 : kTurns);
-    if (cut) pattern.keep_before(*plane);
-    const VertexTracer tracer(occluders, mesh, object.world_from_mesh, plane, pattern);
-    trace_vertices(tracer, object, source, use, samples, {tracer, averaged, sums}, sums);
+    trace_vertices(tracer, object, source, others, use, samples, {tracer, averaged, sums}, sums);
+    smooth_over_neighbours(mesh, smoothing, sums);
   }
-  if (averaged) smooth_over_neighbours(mesh, smoothing_passes(source), sums);
   // What is behind the plane is in neither sum.
   std::array<glm::vec3, kMaxSamples> memory;
   const std::span<const glm::vec3> counted = cut ? before(plane, all.at(0), memory) : all.at(0);

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "core/conventions.h"
 #include "core/threads/parallel.h"
 #include "prt/transfer/vertex_samples.h"
 #include "shadows/silhouette/light_rays.h"
@@ -18,14 +19,6 @@ bool is_twin(const Caster& a, const Caster& b) {
   return is_same(a, b) ||
          (a.world_from_mesh == b.world_from_mesh && a.mesh->positions == b.mesh->positions &&
           a.mesh->triangles == b.mesh->triangles);
-}
-
-bool others_between(std::span<const Caster> casters, const Caster& object,
-                    const lighting::DistantLight& source) {
-  const BoundingSphere here = sphere_of(object);
-  return std::ranges::any_of(casters, [&](const Caster& c) {
-    return !is_twin(c, object) && may_occlude(sphere_of(c), here, source);
-  });
 }
 
 // Directions in the mesh's frame.
@@ -70,23 +63,61 @@ std::uint8_t says(const prt::CosineSums& here) {
 
 }  // namespace
 
-LookupUse lookup_use(const ShadowCasters& casters, const Caster& object,
-                     const lighting::DistantLight& source, int directions_used) {
+CastersBetween::CastersBetween(const ShadowCasters& casters, const Caster& object,
+                               const lighting::DistantLight& source)
+    : towards_(glm::transpose(object.world_from_mesh.rotation_matrix()) *
+               glm::vec3(source.direction)),
+      near_m_(casters.near_m) {
+  const double angle = std::min(largest_angle(source), kPi / 2);
+  sine_ = static_cast<float>(std::sin(angle)), cosine_ = static_cast<float>(std::cos(angle));
+  for (const auto& things : {casters.virtual_things, casters.real_things})
+    for (const Caster& c : things)
+      if (!is_twin(c, object)) add(c, object);
+}
+
+void CastersBetween::add(const Caster& caster, const Caster& object) {
+  const Pose object_from_caster = object.world_from_mesh.inverse() * caster.world_from_mesh;
+  const prt::Bounds& bounds = caster.silhouette->bounds();
+  const Box box{glm::vec3(object_from_caster * glm::dvec3(bounds.centre())),
+                .5f * (bounds.high - bounds.low) + near_m_, object_from_caster.rotation_matrix(),
+                caster.silhouette->radius_m() + near_m_};
+  const prt::Bounds& own = object.silhouette->bounds();
+  if (may_shade(box, own.centre(), object.silhouette->radius_m(), .5f * (own.high - own.low)))
+    boxes_.push_back(box);
+}
+
+// Of a sphere and box around a point. What goes past the caster's sphere leaves it farther aside
+// than the light's cone has widened there; what goes away from its box starts beyond one of its
+// sides.
+bool CastersBetween::may_shade(const Box& box, const glm::vec3& point, float radius,
+                               const glm::vec3& half) const {
+  const glm::vec3 apart = box.centre - point;
+  const float both = box.radius + radius, along = glm::dot(apart, towards_);
+  if (along < -both) return false;
+  const float aside = std::sqrt(std::max(0.f, glm::dot(apart, apart) - along * along));
+  if (aside * cosine_ - along * sine_ > both) return false;
+  for (int k = 0; k < 3; ++k) {
+    const glm::vec3& axis = box.axes[k];
+    const float from = glm::dot(apart, axis), goes = glm::dot(towards_, axis);
+    if (std::abs(from) > box.half[k] + glm::dot(glm::abs(axis), half) &&
+        (from > 0 ? -goes : goes) > sine_)
+      return false;
+  }
+  return true;
+}
+
+LookupUse lookup_use(const Caster& object, const lighting::DistantLight& source, int samples) {
   // RMS angles of the light, in those that look-ups are off: they add as squares do. From the first
   // on the light looks less than a tenth wider, which is as good as eight rays a vertex; from the
   // second on look-ups in finer cells are about as good as four.
   constexpr double kCoarseFrom = 2.5, kFineFrom = 1.5;
   constexpr int kMaxRays = 8;
-  if (!object.visibility || directions_used == 1 || directions_used > kMaxRays)
-    return LookupUse::kNone;
-  if (others_between(casters.virtual_things, object, source) ||
-      others_between(casters.real_things, object, source))
-    return LookupUse::kScoutAmongOthers;
+  if (!object.visibility || samples == 1 || samples > kMaxRays) return LookupUse::kNone;
   const auto beside = [&](int cells) {
     return rms_angle(source) / prt::VisibilityMap::blur(cells);
   };
   if (beside(prt::VisibilityMap::kCells) > kCoarseFrom) return LookupUse::kCoarse;
-  const double fine_from = directions_used > 4 ? kCoarseFrom : kFineFrom;
+  const double fine_from = samples > 4 ? kCoarseFrom : kFineFrom;
   return beside(prt::VisibilityMap::kFineCells) > fine_from ? LookupUse::kFine : LookupUse::kScout;
 }
 

@@ -13,6 +13,7 @@
 #include <fstream>
 
 #include "runtime/pipeline/light_file.h"
+#include "runtime/pipeline/stage_access.h"
 #include "runtime/shading/composite_stage.h"
 #include "tests/stability/maps.h"
 #include "tests/support/shared_data.h"
@@ -379,7 +380,8 @@ TEST_F(DrawnWalk, TakenAwayItRestsAndShownAgainItHasGoneOn) {
   EXPECT_FALSE(same(draw(*hidden, 0), backdrop_.radiance)) << "it is seen";
   ASSERT_TRUE(hidden->show_object(name(), false));
   EXPECT_TRUE(same(draw(*hidden, .2), backdrop_.radiance));
-  EXPECT_FALSE(hidden->stage().shade(*estimate_, .3)) << "nothing moves: nothing is shaded";
+  EXPECT_FALSE(StageAccess::stage_of(*hidden).shade(*estimate_, .3))
+      << "nothing moves: nothing is shaded";
   ASSERT_TRUE(hidden->show_object(name(), true));
   draw(*never_hidden, 0);
   const Image<Rgb> back = draw(*hidden, .4);

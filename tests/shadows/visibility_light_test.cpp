@@ -8,6 +8,7 @@
 
 #include <cmath>
 #include <glm/gtc/matrix_transform.hpp>
+#include <glm/gtx/quaternion.hpp>
 #include <optional>
 
 #include "core/conventions.h"
@@ -72,8 +73,11 @@ struct VisibilityWorld {
     return out;
   }
   LookupUse use(const lighting::DistantLight& d, int directions_used = 4) const {
+    return lookup_use(casters(true)[0], d, directions_used);
+  }
+  CastersBetween between(const lighting::DistantLight& d) const {
     const auto all = casters(true);
-    return lookup_use({all, {}, kNear}, all[0], d, directions_used);
+    return {{all, {}, kNear}, all[0], d};
   }
   std::vector<float> light(const lighting::DistantLight& d, bool with_visibility) const {
     const auto all = casters(with_visibility);
@@ -242,19 +246,94 @@ TEST(VisibilityLight, RaysStayForWhatItCannotTell) {
   EXPECT_EQ(world.use(source(50, .04), 4), LookupUse::kFine);
   EXPECT_EQ(world.use(source(50, .04), 8), LookupUse::kScout)
       << "as good as four rays, not as eight";
-  // Another thing in the light is not in the visibility.
-  const lighting::DistantLight d = source(50, .17), sun = source(50, .005);
-  world.ball_at = Pose{{1, 0, 0, 0}, world.pose.translation + 1.5 * d.direction};
-  for (const lighting::DistantLight& light : {d, sun}) {
-    ASSERT_EQ(world.use(light), LookupUse::kScoutAmongOthers);
-    const auto truth = world.truth(light);
-    EXPECT_LT(error(world.light(light, true), truth),
-              1.05 * error(world.light(light, false), truth));
+}
+
+// Another thing in the light is not in the map.
+TEST(VisibilityLight, RaysFindWhatOthersTake) {
+  VisibilityWorld world;
+  for (const lighting::DistantLight& light :
+       {source(50, .17), source(50, .06), source(50, .03), source(50, .005)}) {
+    SCOPED_TRACE(light.radius.value());
+    const Pose before{{1, 0, 0, 0}, world.pose.translation + .8 * light.direction};
+    const Pose beside{{1, 0, 0, 0}, before.translation + dvec3(.15, 0, -.15)};
+    world.ball_at.reset();
+    const auto alone = world.light(light, true);
+    const double error_alone = error(alone, world.truth(light));
+    for (const Pose& at : {before, beside}) {
+      world.ball_at = at;
+      const CastersBetween others = world.between(light);
+      ASSERT_TRUE(others.any());
+      const auto asked = world.light(light, true), truth = world.truth(light);
+      EXPECT_LT(error(asked, truth),
+                1.25 * std::max(error_alone, error(world.light(light, false), truth)));
+      EXPECT_GT(error(alone, truth), .1) << "the naive form leaves its shadow out";
+      std::size_t left = 0, changed = 0;
+      for (std::size_t i = 0; i < asked.size(); ++i) {
+        if (others.may_shade(world.object.mesh.positions[i])) continue;
+        ++left;
+        changed += asked[i] != alone[i];
+      }
+      EXPECT_GT(left, asked.size() / (light.radius.value() > .05 ? 15 : 4))
+          << "the naive form asks rays everywhere";
+      EXPECT_LT(changed, left / 50) << "but for a shadow's edge that runs out of the ball's";
+    }
   }
-  const auto shaded = world.light(d, true);
+  const lighting::DistantLight d = source(50, .17);
   world.ball_at = Pose{{1, 0, 0, 0}, world.pose.translation - 3. * d.direction};
-  EXPECT_EQ(world.use(d), LookupUse::kCoarse) << "behind the object";
-  EXPECT_GT(error(shaded, world.light(d, true)), .1) << "the naive form leaves its shadow out";
+  EXPECT_FALSE(world.between(d).any()) << "behind the object";
+}
+
+// What may not be shaded by others is not, whatever stands where: rays say so.
+TEST(VisibilityLight, CastersBetweenAreNeverMissed) {
+  VisibilityWorld world;
+  world.ball = prt::make_box({-.5f, -.02f, -.1f}, {.5f, .02f, .1f}, 1, {});
+  world.round = SilhouetteMesh(world.ball);
+  prt::RayWorld rays = *prt::RayWorld::create();
+  const auto index = rays.add(world.ball);
+  ASSERT_TRUE(index);
+  std::size_t shaded = 0, missed = 0, spared = 0, all = 0;
+  for (int k = 0; k < 60; ++k) {
+    const dvec3 off(std::sin(3. * k), std::cos(7. * k), std::sin(11. * k + 1));
+    const Pose at{glm::angleAxis(.9 * k, glm::normalize(dvec3(1, .3 * k, -2))),
+                  world.pose.translation + .9 * off};
+    const lighting::DistantLight light = source(15. + k, k % 2 ? .2 : .01);
+    world.ball_at = at;
+    rays.set_pose(*index, at);
+    const CastersBetween others = world.between(light);
+    SamplePattern pattern;
+    pattern.make(light, 16, kTurns);
+    for (std::size_t v = 0; v < world.object.mesh.positions.size(); v += 7) {
+      const glm::vec3& p = world.object.mesh.positions[v];
+      const bool may = others.any() && others.may_shade(p);
+      const glm::vec3 o(world.pose * dvec3(p));
+      prt::RayWorld::Rays packet;
+      int count = 0;
+      for (const glm::vec3& d : pattern.at(v)) {
+        packet.ox[count] = o.x, packet.oy[count] = o.y, packet.oz[count] = o.z;
+        packet.dx[count] = d.x, packet.dy[count] = d.y, packet.dz[count] = d.z;
+        ++count;
+      }
+      const bool is = rays.occluded(packet, count) != 0;
+      shaded += is, missed += is && !may, spared += !may, ++all;
+    }
+  }
+  EXPECT_EQ(missed, 0u);
+  EXPECT_GT(shaded, all / 100);
+  EXPECT_GT(spared, all / 2) << "else nothing is won";
+}
+
+// What lies in front of a wall, with the light before both, has nothing between.
+TEST(VisibilityLight, AWallBehindIsNotBetween) {
+  VisibilityWorld world;
+  world.ball = prt::make_box({-9, -9, -.1f}, {9, 9, -.05f}, 1, {});
+  world.round = SilhouetteMesh(world.ball);
+  const lighting::DistantLight sun = source(40, .005);
+  const glm::dquat facing =
+      glm::rotation(dvec3(0, 0, 1), glm::normalize(dvec3(sun.direction.x, 0, sun.direction.z)));
+  world.ball_at = Pose{facing, world.pose.translation - 1. * (facing * dvec3(0, 0, 1))};
+  EXPECT_FALSE(world.between(sun).any()) << "though its sphere is all around";
+  world.ball_at = Pose{facing, world.pose.translation + 1. * (facing * dvec3(0, 0, 1))};
+  EXPECT_TRUE(world.between(sun).any());
 }
 
 // Or two objects in one place would not look like one.
@@ -264,11 +343,12 @@ TEST(VisibilityLight, AThingLikeTheObjectInItsPlaceIsTheObject) {
   const SilhouetteMesh silhouette(copy);
   std::vector<Caster> all = world.casters(true);
   all.push_back({&copy, &silhouette, world.pose});
-  EXPECT_EQ(lookup_use({all, {}, VisibilityWorld::kNear}, all[0], source(50, .3), 4),
-            LookupUse::kCoarse);
+  const auto between = [&] {
+    return CastersBetween({all, {}, VisibilityWorld::kNear}, all[0], source(50, .3)).any();
+  };
+  EXPECT_FALSE(between());
   all[1].world_from_mesh.translation.x += 1e-3;
-  EXPECT_EQ(lookup_use({all, {}, VisibilityWorld::kNear}, all[0], source(50, .3), 4),
-            LookupUse::kScoutAmongOthers);
+  EXPECT_TRUE(between());
 }
 
 TEST(VisibilityLight, LightFromBehindThePlaneDoesNotCount) {

@@ -12,7 +12,7 @@
 
 #include "core/io/files.h"
 #include "tests/support/temp_folder.h"
-#include "tools/common/gnuplot.h"
+#include "tools/plots/gnuplot.h"
 
 namespace penumbra::tools {
 

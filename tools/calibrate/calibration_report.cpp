@@ -10,7 +10,7 @@
 #include "core/io/files.h"
 #include "core/io/log.h"
 #include "tools/calibrate/plots.h"
-#include "tools/common/gnuplot.h"
+#include "tools/plots/gnuplot.h"
 
 namespace penumbra::tools {
 

@@ -13,7 +13,7 @@
 #include "core/counted.h"
 #include "core/io/files.h"
 #include "tools/chart/plots.h"
-#include "tools/common/gnuplot.h"
+#include "tools/plots/gnuplot.h"
 
 namespace penumbra::tools {
 

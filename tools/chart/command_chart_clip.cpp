@@ -21,10 +21,10 @@
 #include "tools/chart/chart_options.h"
 #include "tools/chart/peers/peer_codecs.h"
 #include "tools/chart/peers/rgbe_video.h"
-#include "tools/common/gnuplot.h"
 #include "tools/common/number_pairs.h"
 #include "tools/common/print.h"
 #include "tools/common/progress.h"
+#include "tools/plots/gnuplot.h"
 #include "tools/runs/output.h"
 
 namespace penumbra::tools {

@@ -12,8 +12,8 @@
 #include "tools/chart/chart_options.h"
 #include "tools/chart/chart_plot.h"
 #include "tools/chart/plots.h"
-#include "tools/common/gnuplot.h"
 #include "tools/common/print.h"
+#include "tools/plots/gnuplot.h"
 #include "tools/runs/output.h"
 
 namespace penumbra::tools {

@@ -20,6 +20,7 @@
 #include "prt/transfer/transfer.h"
 #include "prt/transfer/visibility_map.h"
 #include "runtime/pipeline/governor_config.h"
+#include "runtime/pipeline/stage_access.h"
 #include "runtime/shading/composite_stage.h"
 #include "runtime/shading/direct_light_stage.h"
 #include "tools/chart/governor/governor_bench.h"
@@ -142,7 +143,7 @@ Result<Measured> measure(const ChartScene& bench, const runtime::PreparedScene& 
                          const runtime::ShadowSampling& sampling, const Truth& truth) {
   PENUMBRA_ASSIGN(pipeline, make_still_pipeline(scene, bench.view(), sampling));
   Measured out;
-  out.time = time_updates(pipeline.stage(), light);
+  out.time = time_updates(runtime::StageAccess::stage_of(pipeline), light);
   PENUMBRA_ASSIGN(ours, composite_still(pipeline, bench.view(), light, truth.empty));
   out.accuracy = compare_pictures(ours, truth.full, truth.empty, bench.masks());
   if (auto flip = hdr_flip(truth.full.radiance, ours.radiance)) out.flip = mean_flip(*flip);
@@ -154,7 +155,7 @@ Result<runtime::LightTime> time_updates(const ChartScene& bench,
                                         const lighting::LightEstimate& light,
                                         const runtime::ShadowSampling& sampling) {
   PENUMBRA_ASSIGN(pipeline, make_still_pipeline(scene, bench.view(), sampling));
-  return time_updates(pipeline.stage(), light);
+  return time_updates(runtime::StageAccess::stage_of(pipeline), light);
 }
 
 std::size_t memory_of(const runtime::PreparedScene& scene, std::size_t lights, int map_size) {

@@ -1,4 +1,4 @@
-#include "tools/common/gnuplot.h"
+#include "tools/plots/gnuplot.h"
 
 #include <fcntl.h>
 #include <fmt/format.h>
