@@ -5,6 +5,7 @@
 #include "capture/capture.h"
 #include "lighting/lighting.h"
 #include "prt/prt.h"
+#include "tests/support/worlds.h"
 #include "tools/chart/measures/accuracy.h"
 
 namespace penumbra::tools {
@@ -21,21 +22,7 @@ class GroundTruth : public testing::TestWithParam<Case> {
  protected:
   static PreparedScene& scene() {
     static PreparedScene prepared = [] {
-      SceneObject object;
-      object.asset = "builtin:twist";
-      object.name = "twist";
-      object.albedo = {.6f, .6f, .6f};
-      object.place_on_floor = true;
-      RealGeometry floor;
-      floor.plane = RealPlane{};
-      floor.albedo = Rgb{.4f, .4f, .4f};
-      BakeSettings settings;
-      settings.bands = 5;
-      settings.rays = 2048;
-      settings.ground_rays = 2048;
-      settings.use_cache = false;
-      return *prepare({{object}, {floor}}, settings,
-                      [](const std::string&) { return std::function<void(double)>(); });
+      return *test::prepared({{test::twist({0, 0, 0})}, {test::grey_plane()}}, 2048);
     }();
     return prepared;
   }

@@ -1,6 +1,7 @@
 // The scenes that the tests of whole worlds are made of.
 #pragma once
 
+#include <cstdlib>
 #include <string>
 
 #include "runtime/scene/scene.h"
@@ -25,11 +26,14 @@ inline runtime::RealGeometry grey_plane(const glm::dvec3& point = {0, 0, 0},
   return g;
 }
 
-/// Baked anew with few rays, silently.
-inline Result<runtime::PreparedScene> prepared(const runtime::Scene& scene) {
+/// Baked silently; what the same run of ctest has baked already is recalled
+/// (tests/CMakeLists.txt).
+inline Result<runtime::PreparedScene> prepared(const runtime::Scene& scene, int rays = 512) {
   runtime::BakeSettings settings;
-  settings.rays = settings.ground_rays = 512;
-  settings.use_cache = false;
+  settings.rays = settings.ground_rays = rays;
+  const char* const bakes = std::getenv("PENUMBRA_TEST_BAKES");
+  settings.use_cache = bakes != nullptr;
+  if (bakes) ::setenv("XDG_CACHE_HOME", bakes, 1);
   return runtime::prepare(scene, settings,
                           [](const std::string&) { return std::function<void(double)>(); });
 }
