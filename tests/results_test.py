@@ -181,7 +181,7 @@ class Toy:
 
 
 def sections_of(page):
-    return dict(re.findall(r"<!-- results:(\w+) -->\n(.*?)<!-- /results -->", page, re.DOTALL))
+    return dict(re.findall(r"<!-- results:([\w-]+) -->\n(.*?)<!-- /results -->", page, re.DOTALL))
 
 
 def check_script(root):
