@@ -11,6 +11,7 @@
 #include "prt/prt.h"
 #include "tests/support/mesh_files.h"
 #include "tests/support/temp_folder.h"
+#include "tests/support/worlds.h"
 #include "tools/chart/measures/accuracy.h"
 
 namespace penumbra::runtime {
@@ -94,11 +95,8 @@ TEST_P(MeshReceiver, ShadowOnUnevenGroundFollowsTheReference) {
   RealGeometry ground;
   ground.mesh = (folder.path() / "ground.obj").string();
   ground.albedo = Rgb{.4f, .4f, .4f};
-  BakeSettings settings;
-  settings.rays = settings.ground_rays = 256;
-  settings.use_cache = false;
-  const auto scene = prepare({{object}, {ground}}, settings,
-                             [](const std::string&) { return std::function<void(double)>(); });
+  constexpr int kRays = 256;
+  const auto scene = test::prepared({{object}, {ground}}, kRays);
   ASSERT_TRUE(scene) << scene.error().detail;
   // The world is the mesh; ours may know it from a depth picture alone.
   std::optional<PreparedScene> seen;
@@ -108,8 +106,7 @@ TEST_P(MeshReceiver, ShadowOnUnevenGroundFollowsTheReference) {
     surface.depth = (folder.path() / "depth.exr").string();
     surface.camera = (folder.path() / "camera.toml").string();
     surface.albedo = ground.albedo;
-    auto from_depth = prepare({{object}, {surface}}, settings,
-                              [](const std::string&) { return std::function<void(double)>(); });
+    auto from_depth = test::prepared({{object}, {surface}}, kRays);
     ASSERT_TRUE(from_depth) << from_depth.error().where << from_depth.error().detail;
     seen = std::move(*from_depth);
   }
