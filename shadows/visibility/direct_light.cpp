@@ -5,6 +5,7 @@
 #include <cmath>
 
 #include "core/threads/parallel.h"
+#include "core/threads/scratch.h"
 #include "prt/transfer/visibility_map.h"
 #include "shadows/silhouette/light_rays.h"
 #include "shadows/silhouette/place_kernel.h"
@@ -295,13 +296,16 @@ void trace_direct_light(const RayOccluders& occluders, const ShadowCasters& cast
   const std::size_t count = mesh.positions.size();
   const LookupUse use = lookup_use(object, source, samples);
   const bool looked_up = use == LookupUse::kCoarse || use == LookupUse::kFine;
-  const CastersBetween others(casters, object, source);
+  const Scratch::Scope scope;
+  const CastersBetween others(casters, object, source, scope.memory());
   const bool averaged =
                  !hard && is_wide(source) && penumbra_exceeds_edges(source, *object.silhouette),
              cut = !hard && is_cut(plane, source);
   all.make(source, cut ? kMaxSamples : std::max(samples, kOpenSamples), 1);
-  pattern.make(source, samples, hard ? 1 : kTurns);
-  if (cut) pattern.keep_before(*plane);
+  if (!looked_up || others.any()) {
+    pattern.make(source, samples, hard ? 1 : kTurns);
+    if (cut) pattern.keep_before(*plane);
+  }
   const VertexTracer tracer(occluders, mesh, object.world_from_mesh, plane, pattern);
   const int smoothing = averaged ? smoothing_passes(source) : 0;
   if (looked_up) {

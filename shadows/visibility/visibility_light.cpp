@@ -64,8 +64,10 @@ std::uint8_t says(const prt::CosineSums& here) {
 }  // namespace
 
 CastersBetween::CastersBetween(const ShadowCasters& casters, const Caster& object,
-                               const lighting::DistantLight& source)
-    : towards_(glm::transpose(object.world_from_mesh.rotation_matrix()) *
+                               const lighting::DistantLight& source,
+                               std::pmr::memory_resource* memory)
+    : boxes_(memory),
+      towards_(glm::transpose(object.world_from_mesh.rotation_matrix()) *
                glm::vec3(source.direction)),
       near_m_(casters.near_m) {
   const double angle = std::min(largest_angle(source), kPi / 2);

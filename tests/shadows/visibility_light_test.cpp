@@ -278,9 +278,17 @@ TEST(VisibilityLight, RaysFindWhatOthersTake) {
       EXPECT_LT(changed, left / 50) << "but for a shadow's edge that runs out of the ball's";
     }
   }
-  const lighting::DistantLight d = source(50, .17);
+  const lighting::DistantLight d = source(50, .17), sun = source(50, .005);
+  world.ball_at = Pose{{1, 0, 0, 0}, world.pose.translation + 1.5 * d.direction};
+  for (const lighting::DistantLight& light : {d, sun}) {
+    const auto truth = world.truth(light);
+    EXPECT_LT(error(world.light(light, true), truth),
+              1.06 * error(world.light(light, false), truth));
+  }
+  const auto shaded = world.light(d, true);
   world.ball_at = Pose{{1, 0, 0, 0}, world.pose.translation - 3. * d.direction};
   EXPECT_FALSE(world.between(d).any()) << "behind the object";
+  EXPECT_GT(error(shaded, world.light(d, true)), .1) << "the naive form leaves its shadow out";
 }
 
 // What may not be shaded by others is not, whatever stands where: rays say so.

@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cstdint>
 #include <glm/mat3x3.hpp>
+#include <memory_resource>
 #include <span>
 #include <vector>
 
@@ -26,7 +27,8 @@ LookupUse lookup_use(const Caster& object, const lighting::DistantLight& source,
 class CastersBetween {
  public:
   CastersBetween(const ShadowCasters& casters, const Caster& object,
-                 const lighting::DistantLight& source);
+                 const lighting::DistantLight& source,
+                 std::pmr::memory_resource* memory = std::pmr::get_default_resource());
 
   bool any() const { return !boxes_.empty(); }
   /// Whether one of them may take some of the light of a point in the object's frame. False is
@@ -45,7 +47,7 @@ class CastersBetween {
   void add(const Caster& caster, const Caster& object);
   bool may_shade(const Box& box, const glm::vec3& point, float radius, const glm::vec3& half) const;
 
-  std::vector<Box> boxes_;
+  std::pmr::vector<Box> boxes_;
   glm::vec3 towards_;    // the light's middle
   float sine_, cosine_;  // of the angle to its farthest direction
   float near_m_;
