@@ -83,6 +83,15 @@ struct BakeSettings {
   /// Longest edge of still objects after subdivision, as a fraction of the bounding radius: one in
   /// 33 holds the edges of a sun's shadow. Characters always have the default.
   float max_edge_fraction = .03f;
+
+  /// For a first picture in seconds: a quarter of the vertices and of the rays, no visibility.
+  static BakeSettings coarse() {
+    BakeSettings out;
+    out.max_edge_fraction = .06f;
+    out.rays = out.ground_rays = 256;
+    out.visibility = false;
+    return out;
+  }
 };
 
 /// A character in its bake frame, what it plays, and the clip's transfer unless that is traced

@@ -38,14 +38,14 @@ class DemoAndComposite(CliTest):
 
     def test_recorded_demo_replays_to_the_same_pictures_and_bytes(self):
         demo, record = self.root / "demo", self.root / "record"
-        printed = self.run_json("demo", "--fine", "--headless", "--frames", 6, "--width", 160, "--height", 90, "--out", demo,
+        printed = self.run_json("demo", "--headless", "--frames", 6, "--width", 160, "--height", 90, "--out", demo,
                                 "--asset", "builtin:box", "--real-mesh", "builtin:box", "--record", record)
         self.check_summary(printed)
         self.check_summary(json.loads((demo / "summary.json").read_text()))
         runs = [self.root / "first", self.root / "second"]
         for run in runs:
             self.check_summary(self.run_json("composite", "--capture", record, "--scene", record / "scene.toml",
-                                             "--out", run))
+                                             "--coarse", "--out", run))
             self.check_summary(json.loads((run / "summary.json").read_text()))
         names = sorted(p.name for p in runs[0].iterdir())
         frames = [f"frame_{i:06}.png" for i in range(6)]
@@ -55,8 +55,8 @@ class DemoAndComposite(CliTest):
             self.assertEqual((runs[0] / name).read_bytes(), (runs[1] / name).read_bytes(), name)
         self.assertEqual((demo / "video.mp4").read_bytes(), (runs[0] / "video.mp4").read_bytes())
         self.assertEqual(files.read_png(demo / "still.png"), files.read_png(runs[0] / frames[-1]))
-        self.run_well("composite", "--capture", record, "--scene", record / "scene.toml", "--out", runs[1],
-                      "--no-stills")
+        self.run_well("composite", "--capture", record, "--scene", record / "scene.toml", "--coarse",
+                      "--out", runs[1], "--no-stills")
         self.assertEqual(sorted(p.name for p in runs[1].iterdir()), ["summary.json", "video.mp4"])
         self.assertEqual((runs[0] / "video.mp4").read_bytes(), (runs[1] / "video.mp4").read_bytes())
         seen = self.run_json("hdr", "environment", record, "-o", self.root / "seen.exr")
@@ -90,7 +90,7 @@ class DemoAndComposite(CliTest):
     def test_no_error_is_promised_over_a_saturated_sun(self):
         files.write_sun_hdr(self.root / "sun.hdr", 256, 128, 3e3)
         record = self.root / "sunny"
-        known = self.run_json("demo", "--fine", "--headless", "--frames", 6, "--width", 160, "--height", 90, "--out",
+        known = self.run_json("demo", "--headless", "--frames", 6, "--width", 160, "--height", 90, "--out",
                               self.root / "sunny-out", "--asset", "builtin:box", "--no-turntable", "--environment",
                               self.root / "sun.hdr", "--record", record)["configuration"]["plan"]
         self.assertEqual((known["lower_bound"], known["within_budget"]), (False, True), "recovered from the floor")
@@ -100,7 +100,7 @@ class DemoAndComposite(CliTest):
         text = (record / "scene.toml").read_text()
         at = text.index("albedo", text.index("[[real]]"))
         scene.write_text(text[:at] + text[text.index("\n", at) + 1:])
-        unknown = self.run_json("composite", "--capture", record, "--scene", scene, "--out",
+        unknown = self.run_json("composite", "--capture", record, "--scene", scene, "--coarse", "--out",
                                 self.root / "unknown")["configuration"]["plan"]
         self.assertEqual((unknown["lower_bound"], unknown["within_budget"]), (True, False))
         self.assertIsNone(unknown["predicted_error"])
@@ -130,13 +130,13 @@ class DemoAndComposite(CliTest):
 
     def test_stopped_composite_leaves_the_earlier_results_alone(self):
         record, out = self.root / "long", self.root / "kept"
-        self.run_well("demo", "--fine", "--headless", "--frames", 90, "--width", 320, "--height", 180, "--out",
+        self.run_well("demo", "--headless", "--frames", 90, "--width", 320, "--height", 180, "--out",
                       self.root / "d", "--asset", "builtin:box", "--no-turntable", "--record", record)
         out.mkdir()
         for name in ("video.mp4", "frame_000000.png", "summary.json"):
             (out / name).write_text("earlier")
         process = subprocess.Popen([program(), "composite", "--capture", record, "--scene", record / "scene.toml",
-                                    "--out", out], env=self.environment, stdout=subprocess.PIPE,
+                                    "--coarse", "--out", out], env=self.environment, stdout=subprocess.PIPE,
                                    stderr=subprocess.PIPE, text=True)
         deadline = time.monotonic() + 120 * PATIENCE
         partial = out / f".partial-{process.pid}"
@@ -566,7 +566,7 @@ class Record(CliTest):
 
     def test_recording_of_a_capture_replays_to_the_same_bytes(self):
         folder = self.root / "folder"
-        self.run_well("demo", "--fine", "--headless", "--frames", 12, "--width", 320, "--height", 180, "--out",
+        self.run_well("demo", "--headless", "--frames", 12, "--width", 320, "--height", 180, "--out",
                       self.root / "demo", "--asset", "builtin:box", "--no-turntable", "--record", folder)
         frames = sum(len((folder / f"{name}.csv").read_text().splitlines()) - 1 for name in ("environment", "view"))
         rig = self.rig(f'[capture]\nsource = "{folder}"\n[scene]\nfile = "{folder}/scene.toml"\n')
@@ -576,8 +576,8 @@ class Record(CliTest):
         self.assertEqual(sum(c["frames"] for c in printed["cameras"]), frames)
         self.assertEqual(self.cameras_of(recording)["view"]["frames"], 12)
         for name, capture in (("first", folder), ("second", recording), ("third", recording)):
-            self.run_well("composite", "--capture", capture, "--scene", folder / "scene.toml", "--out",
-                          self.root / name)
+            self.run_well("composite", "--capture", capture, "--scene", folder / "scene.toml", "--coarse",
+                          "--out", self.root / name)
         for i in range(12):
             pictures = {(self.root / run / f"frame_{i:06}.png").read_bytes() for run in ("first", "second", "third")}
             self.assertEqual(len(pictures), 1, f"frame {i}")

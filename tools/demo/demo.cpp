@@ -126,11 +126,9 @@ PipelineOptions pipeline_options(const DemoOptions& o) {
   options.window = !o.headless;
   options.progress = progress_bar;
   // A first picture in seconds; what moves at camera rate wants all rays that a bake can have.
-  if (!o.fine) options.bake.max_edge_fraction = .06f;
-  if (!o.fine && !o.live) {
-    options.bake.rays = options.bake.ground_rays = 256;
-    options.bake.visibility = false;
-  }
+  const auto coarse = runtime::BakeSettings::coarse();
+  if (!o.fine && !o.live) options.bake = coarse;
+  if (!o.fine) options.bake.max_edge_fraction = coarse.max_edge_fraction;
   return options;
 }
 

@@ -26,7 +26,7 @@ struct CompositeOptions {
   int bands = 5;
   std::string lights = "auto";
   double max_shadow_error = kDefaultMaxShadowError;
-  bool json = false, stills = true, video = true;
+  bool json = false, stills = true, video = true, coarse = false;
 };
 
 // The first view camera's frames are frame_000000.png; a second eye carries its name.
@@ -81,6 +81,7 @@ Result<void> composite(const CompositeOptions& o) {
   options.max_lights = lights.max_count;
   options.max_shadow_error = o.max_shadow_error;
   options.progress = progress_bar;
+  if (o.coarse) options.bake = runtime::BakeSettings::coarse();
   PENUMBRA_ASSIGN(track, read_moves(o.moves, scene));
   PENUMBRA_ASSIGN(pipeline, Pipeline::create(cameras, scene, options));
   PENUMBRA_TRY(pipeline.follow(track));
@@ -138,6 +139,8 @@ void add_composite(CLI::App& parent, Action& action) {
   c->add_option("--max-lights", composite_options.lights, kMaxLightsHelp)->capture_default_str();
   c->add_option("--max-shadow-error", composite_options.max_shadow_error, kMaxShadowErrorHelp)
       ->capture_default_str();
+  c->add_flag("--coarse", composite_options.coarse,
+              "Bake as the demo does without --fine: in seconds, with coarser shadows on objects");
   auto* no_video = c->add_flag("!--no-video", composite_options.video, "Write no video");
   c->add_flag("!--no-stills", composite_options.stills,
               "Write no stills, which take most of the time")
