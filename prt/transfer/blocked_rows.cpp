@@ -70,9 +70,10 @@ namespace penumbra::prt {
 HWY_EXPORT(SumGrey);
 HWY_EXPORT(SumChannel);
 
-void sum_rows(const BlockedRows& from, int used, std::span<const float> weights,
+void sum_rows(const BlockedRows& from, int first, int used, std::span<const float> weights,
               std::span<float> out) {
-  assert(used <= from.rows && weights.size() >= 3 * static_cast<std::size_t>(used));
+  assert(first >= 0 && first + used <= from.rows &&
+         weights.size() >= 3 * static_cast<std::size_t>(used));
   constexpr std::size_t kTogether = 64,  // blocks
       kAhead = 4096;                     // values: twice a page
   const std::size_t stride = out.size() / 3, blocks = stride / kBlock,
@@ -82,7 +83,8 @@ void sum_rows(const BlockedRows& from, int used, std::span<const float> weights,
   assert(from.values.size() == blocks * of_block);
   parallel_for(std::size_t{0}, blocks, kTogether, [&](const auto& some) {
     for (std::size_t b = some.begin(); b != some.end(); ++b) {
-      const std::uint16_t* const values = from.values.data() + b * of_block;
+      const std::uint16_t* const values =
+          from.values.data() + b * of_block + static_cast<std::size_t>(first) * kBlock;
       float* const to = out.data() + b * kBlock;
       if (from.channels == 1) {
         HWY_DYNAMIC_DISPATCH(SumGrey)(values, ahead, used, weights.data(), to, stride);

@@ -111,19 +111,26 @@ TransferPca::TransferPca(const Transfer& first, const Transfer& second, double e
   });
 }
 
+float* TransferPca::PcaPart::weigh(const RadianceSh& light, float* weights) const {
+  const float* from = mix.data();
+  for (int k = 0; k < count; ++k, from += coefficients, weights += 3)
+    for (int n = 0; n < std::min(light.size(), coefficients); ++n)
+      for (int c = 0; c < 3; ++c) weights[c] += from[n] * light[n][c];
+  return weights;
+}
+
 void TransferPca::relight(const RadianceSh& light, const RadianceSh* more,
                           std::span<float> out) const {
   std::array<float, 3 * 2 * kMaxCoefficients> weights{};
-  float* to = weights.data();
-  const auto add = [&](const PcaPart& part, const RadianceSh& l) {
-    const float* mix = part.mix.data();
-    for (int k = 0; k < part.count; ++k, mix += part.coefficients, to += 3)
-      for (int n = 0; n < std::min(l.size(), part.coefficients); ++n)
-        for (int c = 0; c < 3; ++c) to[c] += mix[n] * l[n][c];
-  };
-  add(parts_[0], light);
-  if (more) add(parts_[1], *more);
-  sum_rows({values_, count(), channels_}, more ? count() : first_count(), weights, out);
+  float* const others = parts_[0].weigh(light, weights.data());
+  if (more) parts_[1].weigh(*more, others);
+  sum_rows({values_, count(), channels_}, 0, more ? count() : first_count(), weights, out);
+}
+
+void TransferPca::relight_second(const RadianceSh& light, std::span<float> out) const {
+  std::array<float, 3 * kMaxCoefficients> weights{};
+  parts_[1].weigh(light, weights.data());
+  sum_rows({values_, count(), channels_}, first_count(), parts_[1].count, weights, out);
 }
 
 }  // namespace penumbra::prt

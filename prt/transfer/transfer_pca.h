@@ -35,11 +35,16 @@ class TransferPca {
   /// `more`. Lights of few bands cost as much as others.
   /// out: exactly 3 * stride floats
   void relight(const RadianceSh& light, const RadianceSh* more, std::span<float> out) const;
+  /// Of the second alone.
+  void relight_second(const RadianceSh& light, std::span<float> out) const;
 
  private:
   struct PcaPart {
     int count = 0, coefficients = 0;
     std::vector<float> mix{};  // [pattern][coefficient]
+
+    // Three of `weights` for each pattern; returns where the next part's begin.
+    float* weigh(const RadianceSh& light, float* weights) const;
   };
   std::array<PcaPart, 2> parts_;
   int channels_ = 1;

@@ -325,6 +325,7 @@ bool may_meet(const prt::BakedObject& a, const Pose& at_a, const prt::BakedObjec
 // What objects take of each other's light. What real things take is not in their own: they were
 // shaded by light past those (ObjectLight::local).
 void CompositeStage::combine_object_shadows(const std::vector<Pose>& poses) {
+  const StageTimer timer(times_, "combine shadows");
   const auto is_other = [&](std::size_t k) {
     return objects_[k].renewed || poses_before_.size() != poses.size() ||
            poses_before_[k] != poses[k];

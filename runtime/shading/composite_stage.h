@@ -61,6 +61,10 @@ class PendingFrame {
 struct RelightBases {
   prt::TransferPca surface, ground;
   explicit RelightBases(const prt::BakedObject& baked);
+  /// own: kSurface or kGround
+  const prt::TransferPca& of(PreparedObject::TransferPart own) const {
+    return own == PreparedObject::TransferPart::kSurface ? surface : ground;
+  }
 };
 
 /// Asks the camera of a frame for one more, at a factor of the exposure of all others. False where
@@ -209,6 +213,8 @@ class CompositeStage {
                          const lighting::LightEstimate& estimate, const Pose& pose);
   void relight_parts(StageObject& object, PreparedObject::TransferPart own, const RadianceSh& light,
                      const RadianceSh* reflected, std::span<float> out) const;
+  void relight_reflected(const StageObject& object, PreparedObject::TransferPart own,
+                         const RadianceSh& light, std::span<float> out) const;
   void compose_shadow(std::size_t index, const lighting::LightEstimate& estimate, const Pose& pose,
                       const ObjectLight& light);
   void take_what_is_behind(std::size_t index, const RadianceSh& sky, const Pose& pose,

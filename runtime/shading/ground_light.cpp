@@ -62,7 +62,7 @@ void CompositeStage::take_hidden_reflections(std::size_t index, const RadianceSh
     for (int n = 0; n < reflected.size(); ++n) reflected[n] += (*lights)[n];
   o.more.resize(std::max(o.more.size(), o.deficit.size()));
   const std::span<float> more(o.more.data(), o.deficit.size());
-  o.prepared->relight(PreparedObject::TransferPart::kGroundReflected, reflected, more);
+  relight_reflected(o, PreparedObject::TransferPart::kGround, reflected, more);
   const std::size_t stride = more.size() / 3;
   for (std::size_t texel = 0; texel < stride; ++texel) {
     const float stopped = o.rays[texel], all = o.rays[stride + texel];

@@ -59,7 +59,10 @@ CompositeStage::ObjectLight CompositeStage::light_at(std::size_t index,
   const lighting::ShRotation turn(glm::transpose(poses[index].rotation_matrix()), light.bands());
   ObjectLight out;
   out.open = out.local = turn * light;
-  if (surroundings_.any()) see_surroundings(index, estimate, poses, turn, out);
+  if (surroundings_.any()) {
+    const StageTimer timer(times_, "surroundings");
+    see_surroundings(index, estimate, poses, turn, out);
+  }
   return out;
 }
 
@@ -310,8 +313,8 @@ void CompositeStage::correct_reflected(StageObject& o, const ObjectLight& light,
   const bool level = stands_level(baked, pose);
   o.more.resize(o.relit.size());
   if (light.reflected_left != light.reflected) {
-    o.prepared->relight(PreparedObject::TransferPart::kReflected,
-                        light.local.with_bands(prt::kReflectedBands), o.more);
+    relight_reflected(o, PreparedObject::TransferPart::kSurface,
+                      light.local.with_bands(prt::kReflectedBands), o.more);
     surroundings_.take_missing(index, light.reflected_left, light.reflected, o.more, o.relit);
   }
   double all = 0, left = 0;  // of all lights
@@ -322,8 +325,8 @@ void CompositeStage::correct_reflected(StageObject& o, const ObjectLight& light,
     all += power * std::accumulate(sent.all.begin(), sent.all.end(), 0.);
     left += power * std::accumulate(sent.left.begin(), sent.left.end(), 0.);
     if (sent.left == sent.all) continue;
-    o.prepared->relight(
-        PreparedObject::TransferPart::kReflected,
+    relight_reflected(
+        o, PreparedObject::TransferPart::kSurface,
         reflected_in_bake_frame(reflected_for(source, level), level, pose, baked.reflected.bands),
         o.more);
     surroundings_.replace_shaded(index, sent.left, sent.all, sent.gathered, o.more, o.relit);

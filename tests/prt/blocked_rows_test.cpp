@@ -45,16 +45,19 @@ TEST(BlockedRows, AreSummedLikeOneByOne) {
       std::vector<float> weights(3 * static_cast<std::size_t>(rows));
       for (float& w : weights) w = gauss(rng);
       const std::size_t points = blocks * kBlock;
-      for (const int used : {0, 1, rows / 2, rows}) {
+      for (const auto& [first, used] :
+           {std::pair{0, 0}, {0, 1}, {0, rows / 2}, {0, rows}, {rows / 2, rows - rows / 2}}) {
         std::vector<float> out(3 * points, NAN);
-        sum_rows({table.values, rows, channels}, used, weights, out);
+        sum_rows({table.values, rows, channels}, first, used, weights, out);
         for (int c = 0; c < 3; ++c)
           for (std::size_t p = 0; p < points; ++p) {
             double sum = 0;
             for (int k = 0; k < used; ++k)
-              sum += double(weights[static_cast<std::size_t>(3 * k + c)]) * table.at(p, c, k);
+              sum +=
+                  double(weights[static_cast<std::size_t>(3 * k + c)]) * table.at(p, c, first + k);
             ASSERT_NEAR(double(out[static_cast<std::size_t>(c) * points + p]), sum, 1e-4)
-                << rows << " rows, " << used << " used, colour " << c << ", point " << p;
+                << rows << " rows, " << used << " from " << first << " on used, colour " << c
+                << ", point " << p;
           }
       }
     }
@@ -62,7 +65,7 @@ TEST(BlockedRows, AreSummedLikeOneByOne) {
 
 TEST(BlockedRows, NoRowsGiveZero) {
   std::vector<float> out(3 * 2 * kBlock, NAN);
-  sum_rows({{}, 0, 3}, 0, {}, out);
+  sum_rows({{}, 0, 3}, 0, 0, {}, out);
   for (const float v : out) ASSERT_EQ(v, 0);
 }
 

@@ -135,6 +135,12 @@ TEST(TransferPca, BothLightsAddUp) {
     square += off * off;
   }
   EXPECT_LT(std::sqrt(square / double(both.size())), 1e-3);
+
+  std::vector<float> first(both.size(), NAN), second(both.size(), NAN);
+  c.relight(light, nullptr, first);
+  c.relight_second(more, second);
+  for (std::size_t i = 0; i < both.size(); ++i)
+    ASSERT_NEAR(first[i] + second[i], both[i], 1e-5 * std::max(1.f, std::abs(both[i])));
 }
 
 // A grey transfer beside one that differs by colour: an object whose shadows were taken off it.

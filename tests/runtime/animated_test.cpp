@@ -18,6 +18,7 @@
 #include "tests/stability/maps.h"
 #include "tests/support/shared_data.h"
 #include "tests/support/temp_folder.h"
+#include "tests/support/worlds.h"
 #include "tools/chart/measures/accuracy.h"
 #include "tools/pictures/still.h"
 
@@ -68,14 +69,8 @@ CoarseWalk coarse_walk(const test::TempFolder& folder, const Rgb& albedo) {
   return {file, sequence->receiver->grid.half_extent};
 }
 
-const auto no_progress = [](const std::string&) { return std::function<void(double)>(); };
-
 Result<PreparedScene> prepare_quickly(const Scene& scene, int rays = 256) {
-  BakeSettings settings;
-  settings.bands = 5;
-  settings.rays = settings.ground_rays = rays;
-  settings.use_cache = false;
-  return prepare(scene, settings, no_progress);
+  return test::prepared(scene, rays);
 }
 
 prt::PinholeView view_of(int width, int height) {

@@ -17,11 +17,11 @@ struct BlockedRows {
   int channels;  // 1 or 3
 };
 
-/// out[channel * points + point] = sum over the first `used` rows of weights[3 row + channel] times
-/// the row's value.
+/// out[channel * points + point] = sum over `used` rows from `first` on of
+/// weights[3 (row - first) + channel] times the row's value.
 /// out: 3 floats a point.
 /// threads: reentrant, no allocation
-void sum_rows(const BlockedRows& from, int used, std::span<const float> weights,
+void sum_rows(const BlockedRows& from, int first, int used, std::span<const float> weights,
               std::span<float> out);
 
 }  // namespace penumbra::prt
