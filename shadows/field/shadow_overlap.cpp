@@ -1,6 +1,12 @@
 #include <algorithm>
+#include <array>
 #include <cmath>
+#include <cstdint>
+#include <glm/common.hpp>
+#include <glm/ext/vector_int2.hpp>
+#include <optional>
 
+#include "core/half.h"
 #include "core/threads/parallel.h"
 #include "lighting/sh/rotation.h"
 #include "prt/bake/bake.h"
@@ -15,25 +21,19 @@ namespace {
 // `s` of the first object below which the second cannot be divided out
 constexpr float kDarkest = .02f;
 
-// What one texel of another object's grid holds.
-struct TexelSample {
-  float coefficients[kMaxCoefficients];
-  Rgb ratio;
-};
+// The texel that holds a place on the plane; nothing outside the grid.
+std::optional<glm::ivec2> texel_at(const prt::GroundGrid& grid, glm::vec2 position) {
+  const glm::vec2 uv = grid.uv(position);
+  if (!(uv.x >= 0 && uv.x < 1 && uv.y >= 0 && uv.y < 1)) return std::nullopt;
+  return glm::min(glm::ivec2(uv * static_cast<float>(grid.size)), grid.size - 1);
+}
 
-// The nearest texel; false outside the other's grid.
-bool sample(const prt::BakedObject& object, const PlanarShadow& shadow, glm::vec2 position,
-            TexelSample& out) {
-  const int size = object.receiver->grid.size;
-  const glm::vec2 uv = object.receiver->grid.uv(position);
-  if (!(uv.x >= 0 && uv.x < 1 && uv.y >= 0 && uv.y < 1)) return false;
-  const int x = std::min(static_cast<int>(uv.x * static_cast<float>(size)), size - 1),
-            y = std::min(static_cast<int>(uv.y * static_cast<float>(size)), size - 1);
-  out.ratio = shadow.ratio.at(x, y);
+// What the object takes at a texel, by coefficient, of its first channel.
+void read_deficit(const prt::BakedObject& object, glm::ivec2 texel, int count, float* out) {
   const prt::Transfer& t = object.ground_deficit;
-  for (int n = 0; n < coefficient_count(t.bands); ++n)
-    out.coefficients[n] = t.value(0, n, static_cast<std::size_t>(y * size + x));
-  return true;
+  const std::uint16_t* from =
+      &t.values[static_cast<std::size_t>(texel.y * object.receiver->grid.size + texel.x)];
+  for (int n = 0; n < count; ++n, from += t.stride) out[n] = float_from_half(*from);
 }
 
 // Fraction of b's blocked directions that a blocks too, and the other way round: <a,b>/<b,b> would
@@ -65,13 +65,34 @@ float without_common(float first, float second, const Overlap& shared) {
   return std::max(0.f, (1 - (a + b - std::copysign(common, a))) / first);
 }
 
-// Coefficients about another frame, red alone.
-void rotate(const lighting::ShRotation& rotation, int bands, float* coefficients) {
-  RadianceSh terms(bands);
-  for (int n = 0; n < terms.size(); ++n) terms[n].r = coefficients[n];
-  terms = rotation * terms;
-  for (int n = 0; n < terms.size(); ++n) coefficients[n] = terms[n].r;
-}
+// Coefficients of one channel about another frame, for thousands of texels.
+class TexelRotation {
+ public:
+  TexelRotation(const glm::dmat3& turn, int bands) : bands_(bands) {
+    const lighting::ShRotation rotation(turn, bands);
+    float* to = entries_.data();
+    for (int l = 0; l < bands; ++l)
+      for (int m = -l; m <= l; ++m)
+        for (int n = -l; n <= l; ++n) *to++ = static_cast<float>(rotation.entry(l, m, n));
+  }
+
+  void apply(float* coefficients) const {
+    float turned[kMaxCoefficients];
+    const float* entry = entries_.data();
+    float* to = turned;
+    for (int l = 0; l < bands_; ++l)
+      for (int m = -l; m <= l; ++m, ++to) {
+        const float* from = coefficients + l * l;
+        *to = 0;
+        for (int n = 0; n < 2 * l + 1; ++n) *to += *entry++ * from[n];
+      }
+    std::copy(turned, to, coefficients);
+  }
+
+ private:
+  int bands_;
+  std::array<float, kMaxBands*(4 * kMaxBands * kMaxBands - 1) / 3> entries_;  // band by band
+};
 
 }  // namespace
 
@@ -82,22 +103,26 @@ void combine_shadows(const PlacedShadow& first, const PlacedShadow& second, Plan
   const glm::dmat3 turn = first_from_second.rotation_matrix();
   const int bands =
       std::min(first.object->ground_deficit.bands, second.object->ground_deficit.bands);
-  const lighting::ShRotation rotation(glm::transpose(turn), bands);
+  const TexelRotation rotation(glm::transpose(turn), bands);
   const bool turned = std::abs(turn[0].x - 1) > 1e-9;
+  const int count = coefficient_count(bands);
   parallel_for(out.y0, out.y1, [&](int y) {
-    TexelSample a, b;
+    float a[kMaxCoefficients], b[kMaxCoefficients];
     for (int x = out.x0; x < out.x1; ++x) {
-      Rgb& s = out.ratio.at(x, y);
       const glm::vec2 p =
           grid.position({(static_cast<float>(x) + .5f) / static_cast<float>(grid.size),
                          (static_cast<float>(y) + .5f) / static_cast<float>(grid.size)});
       const glm::dvec3 at = first_from_second * glm::dvec3(p.x, grid.height, p.y);
-      if (!sample(*first.object, *first.shadow, {at.x, at.z}, a) || a.ratio == Rgb{1, 1, 1})
-        continue;
-      sample(*second.object, *second.shadow, p, b);
-      if (turned) rotate(rotation, bands, a.coefficients);
-      const Overlap shared = overlap(a.coefficients, b.coefficients, coefficient_count(bands));
-      for (int c = 0; c < 3; ++c) s[c] = without_common(a.ratio[c], s[c], shared);
+      const auto texel = texel_at(first.object->receiver->grid, {at.x, at.z});
+      if (!texel) continue;
+      const Rgb taken = first.shadow->ratio.at(texel->x, texel->y);
+      if (taken == Rgb{1, 1, 1}) continue;
+      read_deficit(*first.object, *texel, count, a);
+      if (turned) rotation.apply(a);
+      read_deficit(*second.object, {x, y}, count, b);
+      const Overlap shared = overlap(a, b, count);
+      Rgb& s = out.ratio.at(x, y);
+      for (int c = 0; c < 3; ++c) s[c] = without_common(taken[c], s[c], shared);
     }
   });
 }
