@@ -6,6 +6,7 @@
 #include <map>
 #include <numbers>
 #include <numeric>
+#include <optional>
 #include <tuple>
 #include <utility>
 
@@ -77,25 +78,98 @@ class Subdivider {
  public:
   Subdivider(Mesh& mesh, float longest) : mesh_(mesh), longest_(longest) {}
 
-  // One round: every edge that is too long gets its midpoint; each triangle is cut by how many it
-  // has.
+  // One round: every edge that is too long gets its midpoint, but for those that are flipped
+  // afterwards; each triangle is cut by how many it has.
   bool round() {
     midpoints_.clear();
-    std::vector<std::array<std::uint32_t, 3>> out;
+    find_flips();
+    std::vector<Triangle> out;
     out.reserve(mesh_.triangles.size() * 2);
     const std::size_t before = mesh_.triangles.size();
-    for (const auto& t : mesh_.triangles) split(t, out);
+    for (const Triangle& t : mesh_.triangles) split(t, out);
     mesh_.triangles = std::move(out);
+    flip();
     return mesh_.triangles.size() != before;
   }
   // Of what edge each new vertex is the middle.
   std::vector<std::array<std::uint32_t, 2>> ends() && { return std::move(ends_); }
 
  private:
+  using Triangle = std::array<std::uint32_t, 3>;
+  using Edge = std::pair<std::uint32_t, std::uint32_t>;  // the lesser vertex first
   static constexpr std::uint32_t kNone = 0xffffffffu;
+  static constexpr float kThin = .5f;        // shortest edge over the longest
+  static constexpr float kFlat = .99985f;    // cosine: 1 degree
+  static constexpr float kShorter = .9999f;  // a flip that only rounding would tell
+
+  float length(std::uint32_t a, std::uint32_t b) const {
+    return glm::distance(mesh_.positions[a], mesh_.positions[b]);
+  }
+  glm::vec3 normal(const Triangle& t) const {
+    const glm::vec3& a = mesh_.positions[t[0]];
+    const glm::vec3 n = glm::cross(mesh_.positions[t[1]] - a, mesh_.positions[t[2]] - a);
+    const float size = glm::length(n);
+    return size > 0 ? n / size : n;
+  }
+
+  // The place of the longest edge of a thin triangle that has another one to cut.
+  std::optional<std::size_t> longest_of_thin(const Triangle& t) const {
+    const std::array<float, 3> sizes{length(t[0], t[1]), length(t[1], t[2]), length(t[2], t[0])};
+    const auto longest = static_cast<std::size_t>(std::ranges::max_element(sizes) - sizes.begin());
+    const float one = sizes[(longest + 1) % 3], other = sizes[(longest + 2) % 3];
+    if (std::min(one, other) > kThin * sizes[longest] || std::max(one, other) <= longest_)
+      return std::nullopt;
+    return longest;
+  }
+
+  // An edge that is the longest of two thin triangles in one plane is their diagonal. Cut, it
+  // would bring a row of vertices between its triangles' sides in every round: it is flipped once
+  // its neighbours are cut.
+  void find_flips() {
+    flips_.clear();
+    std::map<Edge, std::size_t> first;
+    for (std::size_t i = 0; i < mesh_.triangles.size(); ++i) {
+      const Triangle& t = mesh_.triangles[i];
+      const auto longest = longest_of_thin(t);
+      if (!longest) continue;
+      const Edge edge = std::minmax(t[*longest], t[(*longest + 1) % 3]);
+      const auto [found, fresh] = first.try_emplace(edge, i);
+      if (!fresh && glm::dot(normal(t), normal(mesh_.triangles[found->second])) > kFlat)
+        flips_.try_emplace(edge);
+    }
+  }
+
+  // The triangles on both sides of each edge of flips_: cut by now, they have new corners.
+  void flip() {
+    if (flips_.empty()) return;
+    for (std::size_t i = 0; i < mesh_.triangles.size(); ++i)
+      for (std::size_t k = 0; k < 3; ++k) {
+        const Triangle& t = mesh_.triangles[i];
+        const auto found = flips_.find(std::minmax(t[k], t[(k + 1) % 3]));
+        if (found != flips_.end()) found->second[t[k] < t[(k + 1) % 3] ? 0 : 1] = {i, k};
+      }
+    for (const auto& [edge, sides] : flips_)
+      if (sides[0].triangle != sides[1].triangle) flip(sides[0], sides[1]);
+  }
+
+  struct Side {
+    std::size_t triangle = 0, edge = 0;
+  };
+  void flip(const Side& left, const Side& right) {
+    Triangle &one = mesh_.triangles[left.triangle], &two = mesh_.triangles[right.triangle];
+    const std::uint32_t a = one[left.edge], b = one[(left.edge + 1) % 3],
+                        c = one[(left.edge + 2) % 3], d = two[(right.edge + 2) % 3];
+    // Another edge of the triangle may have been flipped meanwhile.
+    if (two[right.edge] != b || two[(right.edge + 1) % 3] != a) return;
+    if (length(c, d) > kShorter * length(a, b)) return;
+    const Triangle first{a, d, c}, second{d, b, c};
+    const glm::vec3 before = normal(one);
+    if (glm::dot(normal(first), before) <= 0 || glm::dot(normal(second), before) <= 0) return;
+    one = first, two = second;
+  }
 
   std::uint32_t midpoint(std::uint32_t a, std::uint32_t b) {
-    if (glm::distance(mesh_.positions[a], mesh_.positions[b]) <= longest_) return kNone;
+    if (length(a, b) <= longest_ || flips_.contains(std::minmax(a, b))) return kNone;
     const auto [found, fresh] = midpoints_.try_emplace(std::minmax(a, b), kNone);
     if (!fresh) return found->second;
     const auto index = static_cast<std::uint32_t>(mesh_.positions.size());
@@ -107,10 +181,8 @@ class Subdivider {
     return found->second = index;
   }
 
-  void split(const std::array<std::uint32_t, 3>& t,
-             std::vector<std::array<std::uint32_t, 3>>& out) {
-    std::array<std::uint32_t, 3> m{midpoint(t[0], t[1]), midpoint(t[1], t[2]),
-                                   midpoint(t[2], t[0])};
+  void split(const Triangle& t, std::vector<Triangle>& out) {
+    const Triangle m{midpoint(t[0], t[1]), midpoint(t[1], t[2]), midpoint(t[2], t[0])};
     const auto cuts = std::ranges::count_if(m, [](auto i) { return i != kNone; });
     if (cuts == 0) return out.push_back(t);
     if (cuts == 3) {
@@ -133,7 +205,8 @@ class Subdivider {
   Mesh& mesh_;
   float longest_;
   std::vector<std::array<std::uint32_t, 2>> ends_;
-  std::map<std::pair<std::uint32_t, std::uint32_t>, std::uint32_t> midpoints_;
+  std::map<Edge, std::uint32_t> midpoints_;
+  std::map<Edge, std::array<Side, 2>> flips_;  // by the way that their triangles go round
 };
 
 }  // namespace
