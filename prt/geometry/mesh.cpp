@@ -96,7 +96,7 @@ class Subdivider {
 
  private:
   using Triangle = std::array<std::uint32_t, 3>;
-  using Edge = std::pair<std::uint32_t, std::uint32_t>;  // the lesser vertex first
+  using EdgeKey = std::pair<std::uint32_t, std::uint32_t>;  // the lesser vertex first
   static constexpr std::uint32_t kNone = 0xffffffffu;
   static constexpr float kThin = .5f;        // shortest edge over the longest
   static constexpr float kFlat = .99985f;    // cosine: 1 degree
@@ -127,12 +127,12 @@ class Subdivider {
   // its neighbours are cut.
   void find_flips() {
     flips_.clear();
-    std::map<Edge, std::size_t> first;
+    std::map<EdgeKey, std::size_t> first;
     for (std::size_t i = 0; i < mesh_.triangles.size(); ++i) {
       const Triangle& t = mesh_.triangles[i];
       const auto longest = longest_of_thin(t);
       if (!longest) continue;
-      const Edge edge = std::minmax(t[*longest], t[(*longest + 1) % 3]);
+      const EdgeKey edge = std::minmax(t[*longest], t[(*longest + 1) % 3]);
       const auto [found, fresh] = first.try_emplace(edge, i);
       if (!fresh && glm::dot(normal(t), normal(mesh_.triangles[found->second])) > kFlat)
         flips_.try_emplace(edge);
@@ -205,8 +205,8 @@ class Subdivider {
   Mesh& mesh_;
   float longest_;
   std::vector<std::array<std::uint32_t, 2>> ends_;
-  std::map<Edge, std::uint32_t> midpoints_;
-  std::map<Edge, std::array<Side, 2>> flips_;  // by the way that their triangles go round
+  std::map<EdgeKey, std::uint32_t> midpoints_;
+  std::map<EdgeKey, std::array<Side, 2>> flips_;  // by the way that their triangles go round
 };
 
 }  // namespace
