@@ -27,6 +27,13 @@ inline Rect united(const Rect& a, const Rect& b) {
   return {std::min(a.x0, b.x0), std::min(a.y0, b.y0), std::max(a.x1, b.x1), std::max(a.y1, b.y1)};
 }
 
+inline Rect common(const Rect& a, const Rect& b) {
+  return {std::max(a.x0, b.x0), std::max(a.y0, b.y0), std::min(a.x1, b.x1), std::min(a.y1, b.y1)};
+}
+inline bool meet(const Rect& a, const Rect& b) {
+  return !a.empty() && !b.empty() && !common(a, b).empty();
+}
+
 /// Row 0 of the framebuffer is the top of the picture: clip y grows downwards.
 glm::dmat4 clip_from_world_of(const prt::PinholeView& view);
 

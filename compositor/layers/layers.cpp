@@ -233,26 +233,28 @@ void Layers::update_vertices(int object, const prt::Mesh& mesh) {
   if (o.contour) o.positions = mesh.positions;
   glBindBuffer(GL_ARRAY_BUFFER, o.vertices.get());
   glBufferSubData(GL_ARRAY_BUFFER, 0, bytes_of(mesh.positions), mesh.positions.data());
-  drawn_.reset();
+  o.changed = true;
+  o.contour_known = false;
 }
 
 void Layers::set_pose(int object, const Pose& world_from_bake) {
-  Pose& pose = objects_[static_cast<std::size_t>(object)].world_from_bake;
-  if (pose == world_from_bake) return;
-  pose = world_from_bake;
-  drawn_.reset();
+  DrawnObject& o = objects_[static_cast<std::size_t>(object)];
+  if (o.world_from_bake == world_from_bake) return;
+  o.world_from_bake = world_from_bake;
+  o.changed = true;
+  o.contour_known = false;
 }
 
 void Layers::show(int object, bool visible) {
   DrawnObject& o = objects_[static_cast<std::size_t>(object)];
-  if (std::exchange(o.visible, visible) != visible) drawn_.reset();
+  if (std::exchange(o.visible, visible) != visible) o.changed = true;
 }
 
 void Layers::set_light(int object, std::span<const float> relit) {
   DrawnObject& o = objects_[static_cast<std::size_t>(object)];
   if (o.light_map) {
     fill_light_map(*o.light_map, relit, o.stride, o.albedo);
-    drawn_.reset();
+    o.changed = true;
     return;
   }
   bool changed = false;
@@ -265,7 +267,7 @@ void Layers::set_light(int object, std::span<const float> relit) {
   if (!changed) return;  // a shadow moved, or a neighbour
   glBindBuffer(GL_ARRAY_BUFFER, o.light.get());
   glBufferSubData(GL_ARRAY_BUFFER, 0, bytes_of(o.colours), o.colours.data());
-  drawn_.reset();
+  o.changed = true;
 }
 
 Layers::Occluder Layers::upload(const prt::Mesh& mesh) {
@@ -374,9 +376,10 @@ void Layers::bind_pictures(const DrawnObject& o, GLuint program) const {
   glUniform1i(glGetUniformLocation(program, "light_map"), 1);
 }
 
-void Layers::draw_objects(const View& view, const glm::dmat4& clip_from_world, bool seen_alone) {
+void Layers::draw_objects(const View& view, const glm::dmat4& clip_from_world, const Rect& region,
+                          bool seen_alone) {
   for (DrawnObject& o : objects_) {
-    if (!o.visible) continue;
+    if (!o.visible || !meet(reach_of(o, clip_from_world), region)) continue;
     const GLuint program = (o.albedo_map ? textured_program_ : object_program_).get();
     glUseProgram(program);
     glUniform1f(glGetUniformLocation(program, "signal_per_radiance"), view.signal_per_radiance);
@@ -399,25 +402,30 @@ Rect Layers::reach_of(const glm::dmat4& clip_from_bounds, const prt::Bounds& bou
   return reach(clip_from_bounds, corners, width_, height_);
 }
 
+// Nothing of one that is not shown.
+Rect Layers::reach_of(const DrawnObject& o, const glm::dmat4& clip_from_world) const {
+  return o.visible ? reach_of(clip_from_world * o.world_from_bake.matrix(), o.bounds) : Rect{};
+}
+
 Rect Layers::reach_of_objects(const prt::PinholeView& camera) const {
   const glm::dmat4 clip_from_world = clip_from_world_of(camera);
   Rect out;
-  for (const DrawnObject& o : objects_)
-    if (o.visible)
-      out = united(out, reach_of(clip_from_world * o.world_from_bake.matrix(), o.bounds));
+  for (const DrawnObject& o : objects_) out = united(out, reach_of(o, clip_from_world));
   return out;
 }
 
-Result<void> Layers::draw_layer_of_objects(const View& view, const glm::dmat4& clip_from_world,
+// True where one sample a pixel did.
+Result<bool> Layers::draw_layer_of_objects(const View& view, const glm::dmat4& clip_from_world,
                                            Layer& out) {
   out.rect = reach_of_objects(view.camera);
-  if (out.rect.empty()) return {};
+  if (out.rect.empty()) return false;
   if (one_sample_does(view.camera, clip_from_world) &&
-      find_contours(view.camera, clip_from_world)) {
+      find_contours(view.camera, clip_from_world, out.rect)) {
     PENUMBRA_TRY(draw_on(plain_canvas_, view, clip_from_world, out));
-    if (smoother_.smooth(lines_, out)) return {};
+    if (smoother_.smooth(lines_, out)) return true;
   }
-  return draw_on(objects_canvas_, view, clip_from_world, out);
+  PENUMBRA_TRY(draw_on(objects_canvas_, view, clip_from_world, out));
+  return false;
 }
 
 Result<void> Layers::draw_on(Canvas& canvas, const View& view, const glm::dmat4& clip_from_world,
@@ -427,21 +435,32 @@ Result<void> Layers::draw_on(Canvas& canvas, const View& view, const glm::dmat4&
   draw_occluders(clip_from_world);
   draw_hiding_planes(view.camera.world_from_camera.translation, clip_from_world);
   glColorMask(GL_TRUE, GL_TRUE, GL_TRUE, GL_TRUE);
-  draw_objects(view, clip_from_world, &canvas == &plain_canvas_);
+  draw_objects(view, clip_from_world, out.rect, &canvas == &plain_canvas_);
   canvas.finish(out);
   return {};
 }
 
+namespace {
+
+Result<void> check_gl() {
+  const GLenum error = glGetError();
+  if (error == GL_NO_ERROR) return {};
+  return fail(ErrorCode::kUnavailable, "GL", fmt::format("error 0x{:04x} while drawing", error));
+}
+
+}  // namespace
+
 Result<void> Layers::draw(const View& view, const Rect& receiver_area, CommonLayer& objects_layer,
                           CommonLayer& hidden_layer) {
-  // A camera on a tripod before unchanged objects in unchanged light: the layers still hold.
-  if (drawn_ && drawn_->view.camera == view.camera && drawn_->receiver_area == receiver_area &&
-      drawn_->view.signal_per_radiance == view.signal_per_radiance)
-    return {};
+  // A camera on a tripod: what unchanged objects in unchanged light show still holds.
+  if (drawn_ && drawn_->shows(view, receiver_area, has_occluders())) {
+    PENUMBRA_ASSIGN(done, redraw_changed(view, objects_layer));
+    if (done) return check_gl();
+  }
   drawn_.reset();
   Layer &objects = objects_layer.renewed(), &hidden = hidden_layer.renewed();
   const glm::dmat4 clip_from_world = clip_from_world_of(view.camera);
-  PENUMBRA_TRY(draw_layer_of_objects(view, clip_from_world, objects));
+  PENUMBRA_ASSIGN(by_contours, draw_layer_of_objects(view, clip_from_world, objects));
   hidden.rect = occluders_.empty() ? Rect{} : receiver_area;
   for (const OccluderMesh& mesh : occluder_meshes_)
     if (mesh.shaded) hidden.rect = united(hidden.rect, reach_of(clip_from_world, *mesh.shaded));
@@ -450,9 +469,9 @@ Result<void> Layers::draw(const View& view, const Rect& receiver_area, CommonLay
     draw_occluders(clip_from_world);
     hidden_canvas_.finish(hidden);
   }
-  if (const GLenum error = glGetError(); error != GL_NO_ERROR)
-    return fail(ErrorCode::kUnavailable, "GL", fmt::format("error 0x{:04x} while drawing", error));
-  drawn_ = DrawnLayers{view, receiver_area};
+  PENUMBRA_TRY(check_gl());
+  keep_as_drawn(clip_from_world);
+  drawn_ = DrawnLayers{view, receiver_area, by_contours};
   return {};
 }
 

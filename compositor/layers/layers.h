@@ -67,6 +67,10 @@ class Layers {
     double area_m2;  // of all triangles, at rest
     Pose world_from_bake{};
     bool visible = true;
+    bool changed = true;               // since it was drawn, in whatever is seen of it
+    Rect drawn_at{};                   // what it could reach then
+    std::vector<ContourLine> lines{};  // its contour, while that is known
+    bool contour_known = false;        // of this form, at this place, from contours_from_
   };
   struct Occluder {
     GlVertexArray geometry;
@@ -85,6 +89,13 @@ class Layers {
   struct DrawnLayers {
     View view;
     Rect receiver_area;
+    bool by_contours;  // one sample a pixel and smoothed edges
+
+    // Whether nothing but objects can make them other ones.
+    bool shows(const View& now, const Rect& area, bool occluders) const {
+      return view.camera == now.camera && view.signal_per_radiance == now.signal_per_radiance &&
+             (!occluders || receiver_area == area);
+    }
   };
 
   Layers(int width, int height, int oversampling, GlProgram object, GlProgram textured,
@@ -106,10 +117,14 @@ class Layers {
   static void fill_light_map(LightMap& map, std::span<const float> relit, std::size_t stride,
                              const std::vector<Rgb>& albedo);
   static Occluder upload(const prt::Mesh& mesh);
-  void draw_objects(const View& view, const glm::dmat4& clip_from_world, bool seen_alone);
+  void draw_objects(const View& view, const glm::dmat4& clip_from_world, const Rect& region,
+                    bool seen_alone);
   void bind_pictures(const DrawnObject& object, GLuint program) const;
-  Result<void> draw_layer_of_objects(const View& view, const glm::dmat4& clip_from_world,
+  Result<bool> draw_layer_of_objects(const View& view, const glm::dmat4& clip_from_world,
                                      Layer& out);
+  Result<bool> redraw_changed(const View& view, CommonLayer& objects);
+  Rect changed_region(const glm::dmat4& clip_from_world) const;
+  void keep_as_drawn(const glm::dmat4& clip_from_world);
   Result<void> draw_on(Canvas& canvas, const View& view, const glm::dmat4& clip_from_world,
                        Layer& out);
   static double distance_to_box(const DrawnObject& object, const glm::dvec3& eye);
@@ -119,7 +134,10 @@ class Layers {
   bool in_view(const DrawnObject& object, const glm::dmat4& clip_from_world) const;
   bool one_sample_does(const prt::PinholeView& camera, const glm::dmat4& clip_from_world) const;
   bool one_sample_does(const DrawnObject& object, const prt::PinholeView& camera) const;
-  bool find_contours(const prt::PinholeView& camera, const glm::dmat4& clip_from_world);
+  bool find_contours(const prt::PinholeView& camera, const glm::dmat4& clip_from_world,
+                     const Rect& region);
+  bool find_contour(DrawnObject& object, const glm::dmat4& clip_from_world);
+  Rect reach_of(const DrawnObject& object, const glm::dmat4& clip_from_world) const;
   Rect reach_of(const glm::dmat4& clip_from_bounds, const prt::Bounds& bounds) const;
 
   int width_, height_;
@@ -133,7 +151,9 @@ class Layers {
   std::vector<OccluderMesh> occluder_meshes_;  // by occluder
   ContourSmoother smoother_;
   std::vector<ContourLine> lines_;
-  std::optional<DrawnLayers> drawn_;  // what the caller's layers show
+  std::optional<prt::PinholeView> contours_from_;
+  Layer part_;                        // of a layer that is redrawn in part
+  std::optional<DrawnLayers> drawn_;  // what the caller's layers show, but for changed objects
 };
 
 }  // namespace penumbra::compositor

@@ -89,24 +89,35 @@ bool Layers::one_sample_does(const DrawnObject& o, const prt::PinholeView& camer
   });
 }
 
-// And the triangles that can be seen: half of them, which is half of what their vertices cost.
-// False where an object reaches behind the camera.
-bool Layers::find_contours(const prt::PinholeView& camera, const glm::dmat4& clip_from_world) {
+// Of the objects that reach into a region. And the triangles that can be seen: half of them, which
+// is half of what their vertices cost. False where an object reaches behind the camera.
+bool Layers::find_contours(const prt::PinholeView& camera, const glm::dmat4& clip_from_world,
+                           const Rect& region) {
   lines_.clear();
   glBindVertexArray(0);
+  if (contours_from_ != camera)
+    for (DrawnObject& o : objects_) o.contour_known = false;
+  contours_from_ = camera;
   for (DrawnObject& o : objects_) {
-    o.seen_count = 0;
-    if (!in_view(o, clip_from_world)) continue;
-    if (!o.contour->find(o.positions, o.triangles,
-                         fronts_only(o, camera.world_from_camera.translation),
-                         clip_from_world * o.world_from_bake.matrix(), width_, height_, lines_))
-      return false;
-    const auto seen = o.contour->seen();
-    o.seen_count = static_cast<GLsizei>(seen.size() * 3);
-    glBindBuffer(GL_ELEMENT_ARRAY_BUFFER, o.seen.get());
-    glBufferData(GL_ELEMENT_ARRAY_BUFFER, static_cast<GLsizeiptr>(seen.size_bytes()), seen.data(),
-                 GL_STREAM_DRAW);
+    if (!meet(reach_of(o, clip_from_world), region)) continue;
+    if (!o.contour_known && !find_contour(o, clip_from_world)) return false;
+    lines_.insert(lines_.end(), o.lines.begin(), o.lines.end());
   }
+  return true;
+}
+
+bool Layers::find_contour(DrawnObject& o, const glm::dmat4& clip_from_world) {
+  o.lines.clear();
+  if (!o.contour->find(o.positions, o.triangles,
+                       fronts_only(o, contours_from_->world_from_camera.translation),
+                       clip_from_world * o.world_from_bake.matrix(), width_, height_, o.lines))
+    return false;
+  const auto seen = o.contour->seen();
+  o.seen_count = static_cast<GLsizei>(seen.size() * 3);
+  glBindBuffer(GL_ELEMENT_ARRAY_BUFFER, o.seen.get());
+  glBufferData(GL_ELEMENT_ARRAY_BUFFER, static_cast<GLsizeiptr>(seen.size_bytes()), seen.data(),
+               GL_STREAM_DRAW);
+  o.contour_known = true;
   return true;
 }
 

@@ -31,6 +31,7 @@ class TransferPca {
   /// Patterns of both, and of the first alone.
   int count() const { return parts_[0].count + parts_[1].count; }
   int first_count() const { return parts_[0].count; }
+  std::size_t bytes() const { return values_.size() * sizeof(values_[0]); }
   /// As prt::relight of the first under `light` plus, where it is given, of the second under
   /// `more`. Lights of few bands cost as much as others.
   /// out: exactly 3 * stride floats

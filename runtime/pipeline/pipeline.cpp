@@ -102,8 +102,10 @@ Result<Pipeline> Pipeline::create(const std::vector<capture::CameraInfo>& camera
   runtime::BakeSettings settings = options.bake;
   settings.bands = options.bands;
   PENUMBRA_ASSIGN(prepared, runtime::prepare(scene, settings, options.progress));
-  return create(cameras, std::make_shared<const runtime::PreparedScene>(std::move(prepared)),
-                options);
+  const auto own = std::make_shared<runtime::PreparedScene>(std::move(prepared));
+  PENUMBRA_ASSIGN(pipeline, create(cameras, own, options));
+  runtime::drop_coefficients(*own);
+  return std::move(pipeline);
 }
 
 Result<Pipeline> Pipeline::create(const std::vector<capture::CameraInfo>& cameras,

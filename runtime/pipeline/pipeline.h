@@ -123,6 +123,8 @@ class Pipeline {
   /// For stages of the caller's own, beside the pipeline's.
   /// threads: thread-safe
   StageTimes& timings();
+  /// Of one that the pipeline has loaded itself still objects keep no transfer, which the pipeline
+  /// holds in another form.
   const runtime::PreparedScene& scene() const;
   /// What draws; it shows pictures where has_window().
   compositor::Compositor& output();

@@ -26,7 +26,8 @@ namespace {
 
 // Where transfer is kept at vertices
 constexpr float kEdgeFraction = BakeSettings{}.max_edge_fraction;
-constexpr int kGroundSize = 64;  // texels of the shadow basis: renewed in every frame
+constexpr double kUpright = .9999;  // cosine
+constexpr int kGroundSize = 64;     // texels of the shadow basis: renewed in every frame
 constexpr int kMaxClipRays = 512;
 // No frame yet: every time is another
 constexpr double kNone = std::numeric_limits<double>::quiet_NaN();
@@ -44,16 +45,23 @@ Animation playing(prt::Character character, int clip) {
   return out;
 }
 
-// The room that an animation takes, as a mesh of corners.
-prt::Mesh room_of(const Animation& animation) {
+// The room that an animation takes, as a mesh of corners. Upright it ends at the height that it
+// stands on.
+prt::Mesh room_of(const Animation& animation, bool upright = true) {
   constexpr int kLooks = 32;
   prt::Mesh mesh, room;
+  std::vector<float> lows;
   const double seconds = animation.longest_clip_s();
   for (int i = 0; i < (seconds > 0 ? kLooks : 1); ++i) {
     prt::deform(animation.character, animation.pose_at(seconds * i / kLooks), mesh);
     const prt::Bounds b = prt::bounds_of(mesh);
     room.positions.insert(room.positions.end(), {b.low, b.high});
+    lows.push_back(b.low.y);
   }
+  if (!upright) return room;
+  const prt::Bounds all = prt::bounds_of(room);
+  const float floor = standing_height(std::move(lows), all.high.y - all.low.y);
+  for (glm::vec3& corner : room.positions) corner.y = std::max(corner.y, floor);
   return room;
 }
 
@@ -190,7 +198,7 @@ Result<PreparedObject> place_baked_clip(const SceneObject& o,
   out.spin_rpm = o.spin_rpm;
   const Pose frame = plane ? frame_on_plane(*plane, o.position) : Pose{{1, 0, 0, 0}, o.position};
   const glm::dvec3 up = glm::conjugate(frame.rotation) * (o.rotation * glm::dvec3(0, 1, 0));
-  if (plane && up.y < .9999)
+  if (plane && up.y < kUpright)
     return fail(ErrorCode::kInvalid, o.name,
                 "has a clip that is baked upright and cannot be tilted: leave transfer out");
   // Where the scene's own bake would put it: by the asset's origin, unless it is stood in the
@@ -220,7 +228,8 @@ PlacedCharacter place(const SceneObject& o, const std::vector<prt::Plane>& plane
                       Animation& animation, PreparedObject& out) {
   prt::Character& character = animation.character;
   character.frame = glm::mat4(1);
-  const prt::Mesh room = room_of(animation);
+  const glm::dvec3 up = glm::conjugate(o.rotation) * floor_normal(planes, o.position);
+  const prt::Mesh room = room_of(animation, up.y > kUpright);
   prt::Mesh in_world = room;
   prt::transform(in_world, world_from_mesh(o, room, floor_normal(planes, o.position)));
   const prt::Plane* const plane = plane_under(planes, prt::bounds_of(in_world));

@@ -60,6 +60,15 @@ Standing standing_of(const Placement& p, const prt::Mesh& mesh, const prt::Plane
   return out;
 }
 
+float standing_height(std::vector<float> lows, float height) {
+  constexpr float kSame = .01f;  // of the height
+  std::ranges::sort(lows);
+  const auto shared = static_cast<std::ptrdiff_t>((lows.size() + 3) / 4);
+  for (auto low = lows.begin(); low != lows.end(); ++low)
+    if (std::upper_bound(low, lows.end(), *low + kSame * height) - low >= shared) return *low;
+  return lows.front();
+}
+
 void put_in_place(prt::BakedObject& baked, double scale, const glm::dvec3& shift) {
   glm::dmat4 place{glm::dmat3(scale)};
   place[3] = glm::dvec4(scale * shift, 1);

@@ -72,6 +72,25 @@ RelightBases::RelightBases(const prt::BakedObject& baked)
     : surface(baked.transfer, baked.reflected, kPatternsError),
       ground(baked.ground_deficit, baked.ground_reflected, kPatternsError) {}
 
+void drop_coefficients(PreparedScene& scene) {
+  using Values = prt::CowVector<std::uint16_t>;
+  std::vector<std::pair<Values, Values>> first_channels;  // of copies that share theirs, once
+  const auto first_of = [&](const prt::Transfer& t) {
+    for (const auto& [all, first] : first_channels)
+      if (all.shares(t.values)) return first;
+    Values out(t.values.size() / static_cast<std::size_t>(t.channels));
+    std::copy_n(t.values.begin(), out.size(), out.begin());
+    return first_channels.emplace_back(t.values, out).second;
+  };
+  for (PreparedObject& o : scene.objects) {
+    if (o.animation) continue;
+    for (prt::Transfer* t : {&o.baked.transfer, &o.baked.reflected, &o.baked.ground_reflected})
+      t->values = {};
+    o.baked.ground_deficit.values = first_of(o.baked.ground_deficit);
+    o.baked.ground_deficit.channels = 1;
+  }
+}
+
 Result<std::unique_ptr<CompositeStage>> CompositeStage::create(
     const std::vector<capture::CameraInfo>& cameras, const PreparedScene& given,
     compositor::Compositor::Surface surface, StageTimes& times, int oversampling,
@@ -124,6 +143,7 @@ Result<std::unique_ptr<CompositeStage>> CompositeStage::create(
     object.relit.resize(3 * o.baked.transfer.stride);
     if (!o.animation) object.bases = stage->bases_of(o.baked);
   }
+  if (stage->moving_) drop_coefficients(*stage->moving_);  // shared with the caller's scene
   return stage;
 }
 

@@ -67,6 +67,10 @@ struct RelightBases {
   }
 };
 
+/// Frees what RelightBases stand for once they are made: most of an object's memory. Of the
+/// receiver's deficit the first channel stays, for shadows that meet. Clips keep all.
+void drop_coefficients(PreparedScene& scene);
+
 /// Asks the camera of a frame for one more, at a factor of the exposure of all others. False where
 /// there will be none.
 using AskForDarker = std::function<bool(double factor)>;

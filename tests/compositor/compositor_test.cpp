@@ -657,6 +657,73 @@ prt::BakedObject baked(const prt::Mesh& mesh) {
   return object ? std::move(*object) : prt::BakedObject{};
 }
 
+// Three balls of which now one, now another changes: what is drawn in part is what another
+// compositor draws that comes to the same place at once.
+TEST_F(CompositorTest, WhatChangesBesideWhatRestsIsDrawnAsIfAllWere) {
+  struct Ball {
+    Pose pose;
+    RadianceSh light;
+    bool visible = true;
+  };
+  const auto sphere = baked(prt::make_sphere({0, .15f, 0}, .15f, 3, {.9f, .9f, .9f}));
+  const RadianceSh bright = side_light(), dim = test::sloped_light(.3, {-.5, .6, .1}, 3);
+  const auto at = [](double x, double y) { return Pose{{1, 0, 0, 0}, {x, y, 0}}; };
+  const auto set = [&](Compositor& c, int handle, const Ball& ball) {
+    c.set_pose(handle, ball.pose);
+    c.show(handle, ball.visible);
+    const auto lit = test::lit(sphere, ball.light);
+    c.set_light(handle, lit.relit, lit.shadow);
+  };
+  const Image<Rgb> frame = test::noise_frame<Rgb>(14);
+  for (const bool with_floor : {false, true}) {
+    SetUp();
+    std::vector<Ball> balls{{at(-.8, 0), bright}, {at(0, 0), bright}, {at(.8, 0), bright}};
+    for (const Ball& ball : balls) set(*compositor_, compositor_->add_object(sphere), ball);
+    if (with_floor) compositor_->add_plane({0, 0, 0}, {0, 1, 0});
+    const double floor = with_floor ? -.05 : 0;  // deep enough for four samples a pixel
+    composited_floats(frame, view());
+    const auto expect_as_new = [&](const char* what) {
+      auto made = Compositor::create(kSceneWidth, kSceneHeight, Compositor::Surface::kOffscreen);
+      ASSERT_TRUE(made);
+      for (const Ball& ball : balls) set(**made, (*made)->add_object(sphere), ball);
+      if (with_floor) (*made)->add_plane({0, 0, 0}, {0, 1, 0});
+      Image<Rgb> expected(1, 1);
+      {
+        FramePixels all = frame;
+        ASSERT_TRUE((*made)->composite(view(), all));
+        expected = std::get<Image<Rgb>>(all);
+      }
+      for (std::size_t k = 0; k < balls.size(); ++k) set(*compositor_, int(k), balls[k]);
+      const Image<Rgb> ours = composited_floats(frame, view());
+      float worst = 0;
+      for (std::size_t i = 0; i < ours.area(); ++i)
+        for (int c = 0; c < 3; ++c)
+          worst = std::max(worst, std::abs(ours.pixels()[i][c] - expected.pixels()[i][c]));
+      EXPECT_LT(worst, 2e-3) << what << (with_floor ? ", on a floor" : "");
+    };
+    balls[0].pose = at(-.8, floor);
+    expect_as_new("all at the height of the floor");
+    for (int i = 1; i < 8; ++i) {
+      balls[2].pose = at(.8 - .05 * i, floor);
+      expect_as_new("one glides");
+    }
+    balls[0].light = dim;
+    expect_as_new("another darkens");
+    balls[0].pose = at(-.5, floor), balls[0].light = bright;
+    expect_as_new("it goes on and is bright again");
+    balls[2].visible = false;
+    expect_as_new("one goes");
+    balls[2].visible = true, balls[2].pose = at(.1, floor);
+    expect_as_new("and comes back behind another");
+    balls[1].pose = at(9, 0);
+    expect_as_new("one leaves the picture");
+    balls[1].pose = at(9.5, 0);
+    expect_as_new("and moves there");
+    balls[1].pose = at(-1.2, floor);
+    expect_as_new("and is cut by the picture's edge");
+  }
+}
+
 // Whether edges of the object are those of four samples, which real geometry out of visibility
 // brings.
 bool has_four_samples(const prt::BakedObject& object, const Pose& pose, const View& v,

@@ -14,8 +14,10 @@
 
 #include "runtime/pipeline/light_file.h"
 #include "runtime/pipeline/stage_access.h"
+#include "runtime/scene/internal/standing.h"
 #include "runtime/shading/composite_stage.h"
 #include "tests/stability/maps.h"
+#include "tests/support/gltf_files.h"
 #include "tests/support/shared_data.h"
 #include "tests/support/temp_folder.h"
 #include "tests/support/worlds.h"
@@ -396,6 +398,37 @@ TEST_F(DrawnWalk, IsHeldAndSetToAnotherTimeByACall) {
   ASSERT_TRUE(played->play_object(name(), {.clip_time_s = .4, .speed = 1}));
   EXPECT_LT(apart(draw(*played, .9), truth), 1e-4);
   EXPECT_LT(apart(draw(*played, 1.1), draw(*plain, .6)), 1e-4) << "and goes on from there";
+}
+
+TEST(StandingHeight, IsWhatAQuarterOfTheFramesShare) {
+  std::vector<float> lows(32, 0.f);
+  EXPECT_EQ(standing_height(lows, 2), 0);
+  lows[5] = -.3f;  // a foot that goes through the floor
+  EXPECT_EQ(standing_height(lows, 2), 0);
+  for (std::size_t i = 8; i < 24; ++i) lows[i] = .5f;  // a jump
+  EXPECT_EQ(standing_height(lows, 2), 0);
+  for (std::size_t i = 0; i < 32; ++i) lows[i] = .1f * static_cast<float>(i);  // a flight
+  EXPECT_EQ(standing_height(lows, 2), 0) << "the lowest of all";
+  EXPECT_EQ(standing_height({.7f}, 2), .7f);
+}
+
+// Lifted by its lowest frame a clip floats in all the others.
+TEST(Animated, OneFrameThatReachesDeeperDoesNotLiftTheOthers) {
+  const test::TempFolder folder;
+  const auto file = folder.path() / "dip.gltf";
+  test::write_dipping_tetrahedron(file, .4f);
+  Scene scene = walker_scene();
+  SceneObject& thing = scene.objects[0];
+  thing.asset = file;
+  thing.animation = "Dip";
+  thing.live = true;
+  thing.place_on_floor = true;
+  thing.fit_size_m = 2;
+  const auto prepared = prepare_quickly(scene, 64);
+  ASSERT_TRUE(prepared) << prepared.error().detail;
+  const auto low = [&](double t) { return bounds_of(prepared->objects[0].mesh_at(t)).low.y; };
+  EXPECT_NEAR(low(.1), 0, 1e-3);
+  EXPECT_NEAR(low(.5), -.8, .01);
 }
 
 TEST(Animated, AScenePlaysAFileThatWasBakedBefore) {

@@ -134,6 +134,59 @@ TEST(Pipeline, BeforeThereIsLightAFrameComesBackAsItIs) {
   EXPECT_FALSE(lit->pixels == *frame.pixels);
 }
 
+// Of what it loads itself it keeps the patterns of transfer alone, and draws the same, also where
+// shadows meet and one of the objects turns.
+TEST(Pipeline, WhatItLoadsItKeepsInATenthOfTheRoom) {
+  runtime::Scene scene;
+  for (const double x : {-.3, .3}) {
+    runtime::SceneObject box;
+    box.name = x < 0 ? "left" : "right";
+    box.asset = "builtin:box";
+    box.albedo = {.6f, .5f, .4f};
+    box.position = {x, 0, 0};
+    box.place_on_floor = true;
+    box.fit_size_m = .4;
+    box.spin_rpm = x < 0 ? 20 : 0;
+    scene.objects.push_back(box);
+  }
+  runtime::RealGeometry floor;
+  floor.plane = runtime::RealPlane{};
+  floor.albedo = Rgb{.4f, .3f, .2f};
+  scene.real.push_back(floor);
+  PipelineOptions options;
+  options.bake = runtime::BakeSettings::coarse();
+  options.bake.use_cache = false;
+  options.bake.rays = options.bake.ground_rays = 64;
+  const auto prepared = runtime::prepare(scene, options.bake, options.progress);
+  ASSERT_TRUE(prepared) << prepared.error().detail;
+  auto given = Pipeline::create(view_camera_alone(),
+                                std::make_shared<const runtime::PreparedScene>(*prepared), options);
+  PENUMBRA_NEED_GL(given);
+  auto loaded = Pipeline::create(view_camera_alone(), scene, options);
+  ASSERT_TRUE(given && loaded);
+  const lighting::LightEstimate light =
+      *lighting::estimate_map(capture::make_sky_environment(128, 64, .8), {});
+  given->set_light(light), loaded->set_light(light);
+  capture::Frame frame = view_frame();
+  frame.camera = 0;
+  for (int i = 0; i < 3; ++i) {
+    frame.time = TimestampNs{i * 100'000'000};
+    const auto expected = given->composite(frame), ours = loaded->composite(frame);
+    ASSERT_TRUE(expected && ours);
+    EXPECT_FALSE(ours->pixels == *frame.pixels);
+    EXPECT_TRUE(ours->pixels == expected->pixels) << i;
+  }
+  const auto coefficients = [](const Pipeline& p) {
+    std::size_t sum = 0;
+    for (const runtime::PreparedObject& o : p.scene().objects)
+      for (const prt::Transfer* t : {&o.baked.transfer, &o.baked.reflected, &o.baked.ground_deficit,
+                                     &o.baked.ground_reflected})
+        sum += t->values.size();
+    return sum;
+  };
+  EXPECT_LT(10 * coefficients(*loaded), coefficients(*given));
+}
+
 TEST(Pipeline, WithoutACameraThatShowsTheSurroundingsOnlySetLightGivesLight) {
   const std::vector<capture::CameraInfo> cameras = view_camera_alone();
   const auto check = Pipeline::check(cameras);

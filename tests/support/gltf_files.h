@@ -104,4 +104,18 @@ inline void write_morphing_triangle(const std::filesystem::path& path) {
                    "samplers":[{"input":2,"output":3},{"input":2,"output":4}]}])");
 }
 
+/// A tetrahedron of height 1 that stands still for a second, but for one moment in the middle, at
+/// which it is `dip` lower.
+inline void write_dipping_tetrahedron(const std::filesystem::path& path, float dip) {
+  GltfBuffer b;
+  b.floats({0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 1, 0}, "VEC3", 4, R"(,"min":[0,0,0],"max":[1,1,1])");
+  b.shorts({0, 1, 2, 0, 3, 1, 0, 2, 3, 1, 3, 2}, "SCALAR", 12);
+  b.floats({0, .45f, .5f, .55f, 1}, "SCALAR", 5, R"(,"min":[0],"max":[1])");
+  b.floats({0, 0, 0, 0, 0, 0, 0, -dip, 0, 0, 0, 0, 0, 0, 0}, "VEC3", 5);
+  b.write(path, R"("scenes":[{"nodes":[0]}],"nodes":[{"name":"thing","mesh":0}],
+    "meshes":[{"primitives":[{"attributes":{"POSITION":0},"indices":1}]}],
+    "animations":[{"name":"Dip","channels":[{"sampler":0,"target":{"node":0,"path":"translation"}}],
+                   "samplers":[{"input":2,"output":3}]}])");
+}
+
 }  // namespace penumbra::test

@@ -4,6 +4,7 @@
 
 #include <glm/gtc/quaternion.hpp>
 #include <glm/vec3.hpp>
+#include <vector>
 
 #include "core/pose.h"
 #include "prt/bake/bake.h"
@@ -28,6 +29,12 @@ struct Standing {
 
 /// mesh: in its own frame; plane: under it, or null, which leaves the vertical
 Standing standing_of(const Placement& placement, const prt::Mesh& mesh, const prt::Plane* plane);
+
+/// The height that a clip stands on: of its lowest points frame by frame the least that a quarter
+/// of them share to a hundredth of its height. One frame that reaches deeper does not lift the
+/// others off the floor. Where no height is shared, the lowest of all.
+/// in: at least one
+float standing_height(std::vector<float> lowest_by_frame, float height);
 
 /// Brings a bake from the mesh's units to its place.
 void put_in_place(prt::BakedObject& baked, double scale, const glm::dvec3& shift);
