@@ -13,8 +13,9 @@ install(DIRECTORY ${penumbra_header_rooms}
         PATTERN compositor/layers EXCLUDE PATTERN compositor/pixels EXCLUDE
         PATTERN compositor/projection.h EXCLUDE
         PATTERN runtime/studio EXCLUDE PATTERN runtime/surroundings EXCLUDE
-        REGEX "runtime/shading/.*_(stage|recovery|light|planes)\\.h$" EXCLUDE
-        REGEX "runtime/pipeline/(runner|stage_access|light_estimation_stage|governor_config|single_.*)\\.h$" EXCLUDE)
+        PATTERN runtime/direct EXCLUDE PATTERN runtime/governor EXCLUDE
+        REGEX "runtime/shading/(composite_stage|floor_recovery)\\.h$" EXCLUDE
+        REGEX "runtime/pipeline/(runner|stage_access|light_estimation_stage)\\.h$" EXCLUDE)
 # Installed headers include each other as <penumbra/...>: a program may have a core/result.h too.
 list(JOIN penumbra_header_rooms "|" penumbra_room)
 install(CODE "

@@ -13,8 +13,8 @@
 #include "prt/geometry/mesh.h"                // IWYU pragma: export
 #include "prt/geometry/pinhole_view.h"        // IWYU pragma: export
 #include "prt/geometry/plane.h"               // IWYU pragma: export
-#include "prt/geometry/rays.h"                // IWYU pragma: export
 #include "prt/geometry/receiver.h"            // IWYU pragma: export
+#include "prt/rays/rays.h"                    // IWYU pragma: export
 #include "prt/reference/environment_light.h"  // IWYU pragma: export
 #include "prt/reference/reference.h"          // IWYU pragma: export
 #include "prt/transfer/relight.h"             // IWYU pragma: export

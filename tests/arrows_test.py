@@ -18,10 +18,11 @@ from pathlib import Path
 ROOMS = """core core/threads core/io codec calib/camera calib/estimate
 capture capture/hdr capture/watch capture/ring capture/environment capture/studio
 capture/recording capture/device lighting/sh lighting/lights lighting
-prt/geometry prt/transfer prt/bake prt/clip prt/reference
+prt/geometry prt/rays prt/transfer prt/bake prt/clip prt/reference
 shadows/silhouette shadows/field shadows/visibility
 compositor compositor/layers compositor/pixels compositor/composite
-runtime/scene runtime/surroundings runtime/shading runtime/pipeline runtime/studio service
+runtime/scene runtime/surroundings runtime/direct runtime/shading
+runtime/governor runtime/pipeline runtime/studio service
 tools/common tools/plots tools/runs tools/pictures tools/demo tools/penumbrad tools/penumbra tools/calibrate
 tools/chart/measures tools/chart/governor tools/chart/benches tools/chart/peers tools/chart""".split()
 # All public headers of a room, for programs and tests; the library itself includes what it needs.

@@ -19,9 +19,9 @@
 #include "prt/bake/bake_rules.h"
 #include "prt/bake/internal/visibility_bake.h"
 #include "prt/geometry/mesh.h"
-#include "prt/geometry/ray_pattern.h"
-#include "prt/geometry/rays.h"
 #include "prt/geometry/receiver.h"
+#include "prt/rays/ray_pattern.h"
+#include "prt/rays/rays.h"
 #include "prt/transfer/transfer.h"
 #include "prt/transfer/visibility_map.h"
 

@@ -16,7 +16,7 @@
 #include "core/io/hash.h"
 #include "core/threads/parallel.h"
 #include "prt/bake/bake_rules.h"
-#include "prt/geometry/ray_pattern.h"
+#include "prt/rays/ray_pattern.h"
 
 namespace penumbra::prt {
 

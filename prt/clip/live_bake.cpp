@@ -20,9 +20,9 @@
 #include "prt/clip/light_map.h"
 #include "prt/geometry/animation.h"
 #include "prt/geometry/mesh.h"
-#include "prt/geometry/ray_pattern.h"
-#include "prt/geometry/rays.h"
 #include "prt/geometry/receiver.h"
+#include "prt/rays/ray_pattern.h"
+#include "prt/rays/rays.h"
 #include "prt/transfer/transfer.h"
 
 namespace penumbra::prt {

@@ -70,6 +70,28 @@ Result<std::uint64_t> bake_key(const Character& character, int clip,
   return baker.key().bake;
 }
 
+Result<ClipWork> estimate_work(const Character& character, int clip,
+                               const SequenceOptions& options) {
+  SequenceOptions few = options;
+  few.rays = few.ground_rays = 64;
+  few.progress = nullptr;
+  PENUMBRA_ASSIGN(baker, FrameBaker::create(character, clip, few));
+  PENUMBRA_ASSIGN(tried, baker.bake(0, {}));
+  ClipWork out;
+  out.frames = baker.frames();
+  out.points = baker.layout().points();
+  const std::uint64_t texels = baker.shape(FrameBaker::kGround).points;
+  const auto rays_of = [&](const SequenceOptions& o) {
+    return out.points * static_cast<std::uint64_t>(o.rays) +
+           texels * static_cast<std::uint64_t>(o.ground_rays);
+  };
+  const auto frames = static_cast<std::uint64_t>(out.frames);
+  out.rays = frames * rays_of(options);
+  out.journal_bytes = frames * tried.values.size() * sizeof(tried.values[0]);
+  out.seconds = tried.seconds * static_cast<double>(out.rays) / static_cast<double>(rays_of(few));
+  return out;
+}
+
 namespace {
 
 using Records = std::map<std::uint32_t, FrameRecord>;  // by position

@@ -199,6 +199,18 @@ Result<bool> bake_between(const Character& character, int clip, const SequenceOp
 /// errors: as bake_frames
 Result<std::uint64_t> bake_key(const Character& character, int clip,
                                const SequenceOptions& options);
+/// What baking a clip comes to, but for frames between those of the rate that was asked for.
+struct ClipWork {
+  int frames = 0;
+  std::size_t points = 0;
+  std::uint64_t rays = 0;
+  std::uint64_t journal_bytes = 0;
+  double seconds = 0;  // about, on this machine
+};
+/// By baking one frame with few rays.
+/// errors: as bake_frames
+Result<ClipWork> estimate_work(const Character& character, int clip,
+                               const SequenceOptions& options);
 /// Joins journals that together hold every frame of the rate that was asked for, and those of
 /// bake_between. Others that they hold besides, as of another options.interpolation_error, are left
 /// out. The result does not depend on how frames were shared out.

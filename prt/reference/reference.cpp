@@ -9,8 +9,8 @@
 #include "prt/geometry/mesh.h"
 #include "prt/geometry/pinhole_view.h"
 #include "prt/geometry/plane.h"
-#include "prt/geometry/ray_pattern.h"
-#include "prt/geometry/rays.h"
+#include "prt/rays/ray_pattern.h"
+#include "prt/rays/rays.h"
 #include "prt/reference/environment_light.h"
 #include "prt/reference/reference.h"
 

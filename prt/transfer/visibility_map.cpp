@@ -5,7 +5,7 @@
 #include <glm/geometric.hpp>
 
 #include "prt/geometry/mesh.h"
-#include "prt/geometry/ray_pattern.h"
+#include "prt/rays/ray_pattern.h"
 #include "prt/transfer/internal/visibility_kernel.h"
 
 namespace penumbra::prt {

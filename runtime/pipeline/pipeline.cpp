@@ -8,7 +8,7 @@
 
 #include "capture/camera_regions.h"
 #include "core/io/log.h"
-#include "runtime/pipeline/governor_config.h"
+#include "runtime/governor/governor_config.h"
 #include "runtime/pipeline/light_estimation_stage.h"
 #include "runtime/pipeline/runner.h"
 #include "runtime/pipeline/stage_access.h"

@@ -18,9 +18,9 @@
 #include "lighting/light_estimate.h"
 #include "runtime/pipeline/runs.h"
 #include "runtime/scene/scene.h"
+#include "runtime/scene/shadow_sampling.h"
 #include "runtime/shading/composited.h"
 #include "runtime/shading/object_moves.h"
-#include "runtime/shading/shadow_sampling.h"
 
 #pragma GCC visibility push(default)
 namespace penumbra {

@@ -7,6 +7,7 @@
 #include <unistd.h>
 
 #include <algorithm>
+#include <cmath>
 #include <cstdlib>
 #include <optional>
 #include <vector>
@@ -165,6 +166,25 @@ Result<prt::BakedSequence> bake_into(const fs::path& journal, const prt::Charact
 
 }  // namespace
 
+void tell_work(const std::string& name, const prt::Character& character, int clip,
+               const prt::SequenceOptions& options) {
+  constexpr double kWorthSaying_s = 60, kLong_s = 1800;
+  const auto work = prt::estimate_work(character, clip, options);
+  if (!work || work->seconds < kWorthSaying_s) return;  // what is wrong the bake itself says
+  log_info(
+      "{}: its clip is {} key frames of {} points: about {:.0f} minutes on this machine, {:.1f} GB "
+      "on disk meanwhile, and more where frames are baked between them; a bake that is stopped "
+      "goes "
+      "on where it was",
+      name, work->frames, work->points, std::ceil(work->seconds / 60),
+      static_cast<double>(work->journal_bytes) * 1e-9);
+  if (work->seconds > kLong_s)
+    log_warning(
+        "{}: to see it sooner, play it by transfer = \"live\", or bake it with fewer key frames "
+        "(penumbra bake --animation NAME --fps 10) or in shards",
+        name);
+}
+
 Result<prt::BakedSequence> bake_or_recall(const std::string& name, const prt::Character& character,
                                           int clip, const prt::SequenceOptions& options,
                                           bool use_cache) {
@@ -182,6 +202,7 @@ Result<prt::BakedSequence> bake_or_recall(const std::string& name, const prt::Ch
       fs::last_write_time(file, fs::file_time_type::clock::now(), ignored);
       return recalled;
     }
+  tell_work(name, character, clip, options);
   Result<prt::BakedSequence> sequence =
       fail(ErrorCode::kUnwritable, name, "cannot keep its baked frames");
   bool ours = false;

@@ -55,6 +55,11 @@ Result<prt::BakedSequence> bake_or_recall(const std::string& name, const prt::Ch
                                           int clip, const prt::SequenceOptions& options,
                                           bool use_cache);
 
+/// Says what a clip's bake takes, in time and in room for its journal, before one that takes more
+/// than a minute begins.
+void tell_work(const std::string& name, const prt::Character& character, int clip,
+               const prt::SequenceOptions& options);
+
 inline constexpr std::uintmax_t kCacheBytes = std::uintmax_t{1} << 30;
 
 /// Removes the baked files that were used longest ago until the rest is within `max_bytes`.

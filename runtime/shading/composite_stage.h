@@ -23,15 +23,15 @@
 #include "lighting/sh/rotation.h"
 #include "prt/bake/bake.h"
 #include "prt/transfer/transfer_pca.h"
+#include "runtime/direct/direct_light_stage.h"
+#include "runtime/direct/lamp_stage.h"
+#include "runtime/direct/open_planes.h"
+#include "runtime/direct/real_surface_stage.h"
+#include "runtime/direct/scene_light.h"
 #include "runtime/scene/scene.h"
 #include "runtime/shading/composited.h"
-#include "runtime/shading/direct_light_stage.h"
 #include "runtime/shading/floor_recovery.h"
-#include "runtime/shading/lamp_stage.h"
 #include "runtime/shading/object_moves.h"
-#include "runtime/shading/open_planes.h"
-#include "runtime/shading/real_surface_stage.h"
-#include "runtime/shading/scene_light.h"
 #include "runtime/surroundings/ground_probes.h"
 #include "runtime/surroundings/irradiance_cache.h"
 #include "runtime/surroundings/occlusion_probes.h"
@@ -78,10 +78,6 @@ using AskForDarker = std::function<bool(double factor)>;
 /// View frames and light in, composited frames out.
 class CompositeStage {
  public:
-  /// Light whose largest possible effect, by a bound that is loose two to ten times, is below this
-  /// fraction of the mean cannot be seen in 8 bits.
-  static constexpr double kVisibleChange = .01;
-
   /// errors: kInvalid (no view camera, view cameras of different sizes, not a pinhole),
   ///         kUnavailable
   static Result<std::unique_ptr<CompositeStage>> create(

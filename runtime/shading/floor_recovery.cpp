@@ -20,8 +20,8 @@
 #include "core/threads/parallel.h"
 #include "lighting/lights/distant_light.h"
 #include "prt/geometry/plane.h"
-#include "prt/geometry/ray_pattern.h"
-#include "prt/geometry/rays.h"
+#include "prt/rays/ray_pattern.h"
+#include "prt/rays/rays.h"
 #include "runtime/surroundings/floor_irradiance.h"
 
 namespace penumbra::runtime {

@@ -13,9 +13,9 @@
 #include "lighting/light_estimate.h"
 #include "lighting/saturation_recovery.h"
 #include "prt/geometry/plane.h"
-#include "prt/geometry/rays.h"
+#include "prt/rays/rays.h"
+#include "runtime/direct/open_planes.h"
 #include "runtime/scene/scene.h"
-#include "runtime/shading/open_planes.h"
 #include "runtime/surroundings/floor_irradiance.h"
 
 namespace penumbra::runtime {

@@ -15,9 +15,9 @@
 #include "prt/bake/bake.h"
 #include "prt/geometry/mesh.h"
 #include "prt/transfer/transfer.h"
+#include "runtime/direct/scene_light.h"
 #include "runtime/scene/scene.h"
 #include "runtime/shading/composite_stage.h"
-#include "runtime/shading/scene_light.h"
 #include "runtime/surroundings/occlusion_probes.h"
 #include "shadows/visibility/lamp.h"
 

@@ -6,7 +6,7 @@
 #include "core/conventions.h"
 #include "core/threads/parallel.h"
 #include "lighting/sh/basis.h"
-#include "prt/geometry/ray_pattern.h"
+#include "prt/rays/ray_pattern.h"
 
 namespace penumbra::runtime {
 

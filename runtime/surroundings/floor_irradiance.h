@@ -12,7 +12,7 @@
 #include "lighting/lights/distant_light.h"
 #include "prt/geometry/mesh.h"
 #include "prt/geometry/plane.h"
-#include "prt/geometry/rays.h"
+#include "prt/rays/rays.h"
 
 namespace penumbra::runtime {
 

@@ -5,8 +5,8 @@
 #include <utility>
 
 #include "core/threads/parallel.h"
-#include "prt/geometry/rays.h"
 #include "prt/geometry/receiver.h"
+#include "prt/rays/rays.h"
 
 namespace penumbra::runtime {
 

@@ -12,7 +12,7 @@
 
 #include "core/image.h"
 #include "core/pose.h"
-#include "prt/geometry/ray_pattern.h"
+#include "prt/rays/ray_pattern.h"
 #include "runtime/scene/scene.h"
 #include "runtime/surroundings/real_point.h"
 #include "shadows/silhouette/occluders.h"

@@ -9,7 +9,7 @@
 
 #include "core/threads/parallel.h"
 #include "prt/geometry/mesh.h"
-#include "prt/geometry/rays.h"
+#include "prt/rays/rays.h"
 
 namespace penumbra::runtime {
 

@@ -13,7 +13,7 @@
 
 #include "core/image.h"
 #include "core/pose.h"
-#include "prt/geometry/ray_pattern.h"
+#include "prt/rays/ray_pattern.h"
 #include "runtime/scene/scene.h"
 #include "runtime/surroundings/occlusion_probes.h"
 #include "runtime/surroundings/real_point.h"

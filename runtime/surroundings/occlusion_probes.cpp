@@ -8,7 +8,7 @@
 #include "core/conventions.h"
 #include "core/threads/parallel.h"
 #include "prt/geometry/mesh.h"
-#include "prt/geometry/rays.h"
+#include "prt/rays/rays.h"
 
 namespace penumbra::runtime {
 
@@ -185,7 +185,7 @@ void OcclusionProbes::update(const shadows::RayOccluders& occluders, std::span<c
       for (std::size_t k = 0; k < objects_.size(); ++k)
         if (moved(k)) objects_[i].missed += moved(i) ? 1 : swept(i, k, poses_before_[k]);
   }
-  constexpr double kAtOnce = .05, kVisible = .01;  // as CompositeStage::kVisibleChange
+  constexpr double kAtOnce = .05, kVisible = .01;  // as kVisibleChange of runtime/direct
   // Of those that can wait.
   const auto next = std::ranges::max_element(
       objects_, {}, [](const Object& o) { return o.missed < kAtOnce ? o.missed : 0; });

@@ -9,8 +9,8 @@
 #include "core/threads/scratch.h"
 #include "lighting/sh/basis.h"
 #include "lighting/sh/irradiance.h"
-#include "prt/geometry/ray_pattern.h"
-#include "prt/geometry/rays.h"
+#include "prt/rays/ray_pattern.h"
+#include "prt/rays/rays.h"
 #include "runtime/surroundings/real_point.h"
 
 namespace penumbra::runtime {

@@ -9,7 +9,7 @@
 
 #include "prt/geometry/mesh.h"
 #include "prt/geometry/plane.h"
-#include "prt/geometry/rays.h"
+#include "prt/rays/rays.h"
 
 namespace penumbra::runtime {
 

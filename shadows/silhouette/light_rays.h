@@ -7,7 +7,7 @@
 
 #include "lighting/lights/distant_light.h"
 #include "prt/geometry/plane.h"
-#include "prt/geometry/rays.h"
+#include "prt/rays/rays.h"
 #include "shadows/silhouette/occluders.h"
 #include "shadows/silhouette/silhouette_cache.h"
 #include "shadows/silhouette/silhouette_mesh.h"

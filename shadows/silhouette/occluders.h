@@ -8,7 +8,7 @@
 #include "core/pose.h"
 #include "lighting/lights/distant_light.h"
 #include "prt/geometry/mesh.h"
-#include "prt/geometry/rays.h"
+#include "prt/rays/rays.h"
 #include "prt/transfer/visibility_map.h"
 #include "shadows/silhouette/silhouette_cache.h"
 #include "shadows/silhouette/silhouette_mesh.h"

@@ -1,8 +1,8 @@
 #include <oneapi/tbb/parallel_for.h>
 
 #include "bench/harness.h"
-#include "prt/geometry/ray_pattern.h"
 #include "prt/prt.h"
+#include "prt/rays/ray_pattern.h"
 
 namespace penumbra::bench {
 namespace {

@@ -10,7 +10,7 @@
 #include "core/conventions.h"
 #include "core/threads/parallel.h"
 #include "lighting/lighting.h"
-#include "prt/geometry/rays.h"
+#include "prt/rays/rays.h"
 #include "runtime/shading/composite_stage.h"
 
 namespace penumbra::bench {

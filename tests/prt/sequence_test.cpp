@@ -152,6 +152,26 @@ TEST(Sequence, AClipAtRestGivesTheSameBitsInEveryFrame) {
   EXPECT_EQ(b.sequence.report.interpolation_error, 0);
 }
 
+TEST(Sequence, WhatABakeTakesIsKnownBeforehand) {
+  SequenceOptions o = quick();
+  o.rays = 128;
+  o.ground_size = 16;
+  const auto work = estimate_work(grey_walker(), 0, o);
+  ASSERT_TRUE(work);
+  const test::TempFolder folder;
+  const fs::path journals[] = {folder.path() / "j"};
+  ASSERT_TRUE(bake_frames(grey_walker(), 0, o, {}, journals[0]));
+  EXPECT_NEAR(double(work->journal_bytes), double(fs::file_size(journals[0])),
+              .02 * double(work->journal_bytes));
+  const auto baked = compress_frames(grey_walker(), 0, o, journals);
+  ASSERT_TRUE(baked);
+  EXPECT_EQ(work->frames, baked->surface.frames());
+  EXPECT_EQ(work->points, baked->surface.points());
+  EXPECT_NEAR(double(work->rays), double(baked->report.rays), .5 * double(baked->report.rays));
+  EXPECT_GT(work->seconds, 0);
+  EXPECT_FALSE(estimate_work(grey_walker(), 99, o)) << "there is no such clip";
+}
+
 TEST(Sequence, AClipOfOnePoseIsOneFrame) {
   const Baked b = bake_clip(grey_walker(), 2, quick());
   EXPECT_EQ(b.sequence.surface.frames(), 1);

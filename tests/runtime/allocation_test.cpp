@@ -2,7 +2,7 @@
 #include "calib/calib.h"
 #include "lighting/lighting.h"
 #include "prt/prt.h"
-#include "runtime/pipeline/governor_config.h"
+#include "runtime/governor/governor_config.h"
 #include "runtime/pipeline/light_estimation_stage.h"
 #include "tests/support/allocations.h"
 

@@ -1,4 +1,4 @@
-#include "runtime/shading/direct_light_stage.h"
+#include "runtime/direct/direct_light_stage.h"
 #include "lighting/lighting.h"
 #include "prt/prt.h"
 #include "shadows/shadows.h"

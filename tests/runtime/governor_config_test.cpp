@@ -1,5 +1,5 @@
 // What the governor is told of a scene, and what it keeps between starts.
-#include "runtime/pipeline/governor_config.h"
+#include "runtime/governor/governor_config.h"
 
 #include <gtest/gtest.h>
 
@@ -10,8 +10,8 @@
 
 #include "core/io/files.h"
 #include "lighting/lighting.h"
-#include "runtime/pipeline/internal/kept_costs.h"
-#include "runtime/pipeline/single_thread_time.h"
+#include "runtime/governor/internal/kept_costs.h"
+#include "runtime/governor/single_thread_time.h"
 #include "runtime/scene/bake_cache.h"
 #include "runtime/scene/scene.h"
 #include "tests/support/temp_folder.h"

@@ -9,9 +9,9 @@
 #include "core/conventions.h"
 #include "core/io/log.h"
 #include "lighting/lighting.h"
+#include "runtime/direct/scene_light.h"
 #include "runtime/pipeline/light_estimation_stage.h"
 #include "runtime/shading/composite_stage.h"
-#include "runtime/shading/scene_light.h"
 #include "tests/support/mains.h"
 
 namespace penumbra::runtime {

@@ -3,7 +3,7 @@
 #include "capture/capture.h"
 #include "lighting/lighting.h"
 #include "prt/prt.h"
-#include "runtime/pipeline/governor_config.h"
+#include "runtime/governor/governor_config.h"
 #include "runtime/pipeline/light_estimation_stage.h"
 
 #include <gtest/gtest.h>

@@ -8,7 +8,7 @@
 #include "capture/capture.h"
 #include "lighting/lighting.h"
 #include "prt/prt.h"
-#include "runtime/pipeline/governor_config.h"
+#include "runtime/governor/governor_config.h"
 #include "runtime/shading/composite_stage.h"
 #include "shadows/shadows.h"
 #include "tests/stability/maps.h"

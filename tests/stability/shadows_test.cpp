@@ -4,8 +4,8 @@
 
 #include "lighting/lighting.h"
 #include "prt/prt.h"
+#include "runtime/direct/direct_light_stage.h"
 #include "runtime/shading/composite_stage.h"
-#include "runtime/shading/direct_light_stage.h"
 #include "shadows/shadows.h"
 #include "tests/stability/maps.h"
 #include "tests/stability/occlusion.h"

@@ -5,7 +5,7 @@
 #include "core/io/files.h"
 #include "core/io/log.h"
 #include "lighting/governor.h"
-#include "runtime/pipeline/governor_config.h"
+#include "runtime/governor/governor_config.h"
 #include "runtime/scene/scene.h"
 #include "tools/chart/benches/chart_bench.h"
 #include "tools/chart/chart_environments.h"

@@ -11,6 +11,7 @@
 #include "prt/geometry/animation.h"
 #include "runtime/pipeline/report.h"
 #include "runtime/scene/animated.h"
+#include "runtime/scene/bake_cache.h"
 #include "tools/common/median_time.h"
 #include "tools/common/number_pairs.h"
 #include "tools/common/print.h"
@@ -170,6 +171,8 @@ Result<void> bake_clip(const BakeCommandOptions& o) {
     // Kept until all is done: a bake that is stopped goes on where it was.
     journals = {o.shard.empty() ? fs::path(o.output + ".journal")
                                 : shard_file(o.output, index - 1, count)};
+    runtime::tell_work(fs::path(o.asset).filename().string(), character.character, character.clip,
+                       options);
     PENUMBRA_TRY(prt::bake_frames(character.character, character.clip, options, {index - 1, count},
                                   journals[0]));
     if (!o.shard.empty()) {

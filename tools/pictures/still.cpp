@@ -9,9 +9,9 @@
 #include "core/threads/parallel.h"
 #include "prt/reference/environment_light.h"
 #include "prt/reference/reference.h"
+#include "runtime/direct/direct_light_stage.h"
+#include "runtime/direct/scene_light.h"
 #include "runtime/shading/composite_stage.h"
-#include "runtime/shading/direct_light_stage.h"
-#include "runtime/shading/scene_light.h"
 #include "shadows/visibility/lamp.h"
 
 namespace penumbra::tools {

@@ -8,9 +8,9 @@
 #include "lighting/light_estimate.h"
 #include "prt/geometry/pinhole_view.h"
 #include "prt/geometry/plane.h"
+#include "runtime/direct/direct_light_stage.h"
 #include "runtime/pipeline/pipeline.h"
 #include "runtime/scene/scene.h"
-#include "runtime/shading/direct_light_stage.h"
 
 namespace penumbra::tools {
 

@@ -4,7 +4,7 @@
 #include <functional>
 
 #include "prt/geometry/mesh.h"
-#include "prt/geometry/rays.h"
+#include "prt/rays/rays.h"
 #include "prt/transfer/visibility_map.h"
 
 namespace penumbra::prt {

@@ -7,8 +7,8 @@
 
 #include "capture/studio/world.h"
 #include "prt/geometry/mesh.h"
-#include "prt/geometry/rays.h"
 #include "prt/geometry/receiver.h"
+#include "prt/rays/rays.h"
 
 namespace penumbra::runtime {
 

@@ -8,9 +8,9 @@
 #include "lighting/light_estimate.h"
 #include "prt/geometry/pinhole_view.h"
 #include "prt/transfer/transfer.h"
-#include "runtime/pipeline/single_thread_time.h"
+#include "runtime/direct/direct_light_stage.h"
+#include "runtime/governor/single_thread_time.h"
 #include "runtime/scene/scene.h"
-#include "runtime/shading/direct_light_stage.h"
 #include "tools/chart/measures/accuracy.h"
 #include "tools/pictures/still.h"
 

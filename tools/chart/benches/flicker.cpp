@@ -7,8 +7,8 @@
 #include "capture/studio/sensor.h"
 #include "capture/studio/studio.h"
 #include "capture/studio/world.h"
+#include "runtime/direct/direct_light_stage.h"
 #include "runtime/scene/scene.h"
-#include "runtime/shading/direct_light_stage.h"
 #include "tools/chart/measures/accuracy.h"
 #include "tools/pictures/still.h"
 

@@ -6,8 +6,8 @@
 #include <vector>
 
 #include "lighting/light_estimate.h"
+#include "runtime/direct/direct_light_stage.h"
 #include "runtime/scene/scene.h"
-#include "runtime/shading/direct_light_stage.h"
 #include "tools/chart/benches/chart_bench.h"
 #include "tools/pictures/still.h"
 

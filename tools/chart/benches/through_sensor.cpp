@@ -11,7 +11,7 @@
 #include "capture/studio/studio.h"
 #include "core/conventions.h"
 #include "lighting/estimate.h"
-#include "runtime/pipeline/governor_config.h"
+#include "runtime/governor/governor_config.h"
 #include "runtime/pipeline/pipeline.h"
 #include "tools/common/progress.h"
 #include "tools/runs/side_by_side.h"

@@ -1,4 +1,4 @@
-#include "runtime/pipeline/single_thread_time.h"
+#include "runtime/governor/single_thread_time.h"
 
 #include <tbb/global_control.h>
 

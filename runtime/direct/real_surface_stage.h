@@ -7,9 +7,9 @@
 #include <vector>
 
 #include "lighting/light_estimate.h"
+#include "runtime/direct/direct_light_stage.h"
+#include "runtime/direct/lamp_stage.h"
 #include "runtime/scene/scene.h"
-#include "runtime/shading/direct_light_stage.h"
-#include "runtime/shading/lamp_stage.h"
 #include "shadows/field/planar_shadow.h"
 
 namespace penumbra::runtime {

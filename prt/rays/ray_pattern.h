@@ -6,7 +6,7 @@
 #include <glm/vec3.hpp>
 #include <vector>
 
-#include "prt/geometry/rays.h"
+#include "prt/rays/rays.h"
 
 #pragma GCC visibility push(default)
 namespace penumbra::prt {

@@ -1,4 +1,4 @@
-#include "prt/geometry/ray_pattern.h"
+#include "prt/rays/ray_pattern.h"
 
 #include <algorithm>
 #include <cmath>

@@ -2,9 +2,9 @@
 
 #include <algorithm>
 
-#include "prt/geometry/internal/embree_mesh.h"
 #include "prt/geometry/mesh.h"
-#include "prt/geometry/rays.h"
+#include "prt/rays/internal/embree_mesh.h"
+#include "prt/rays/rays.h"
 
 namespace penumbra::prt {
 

@@ -1,4 +1,4 @@
-#include "runtime/shading/scene_light.h"
+#include "runtime/direct/scene_light.h"
 
 #include <algorithm>
 

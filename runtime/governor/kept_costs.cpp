@@ -1,4 +1,4 @@
-#include "runtime/pipeline/internal/kept_costs.h"
+#include "runtime/governor/internal/kept_costs.h"
 
 #include <fmt/format.h>
 

@@ -1,11 +1,11 @@
-#include "runtime/shading/open_planes.h"
+#include "runtime/direct/open_planes.h"
 
 #include <algorithm>
 
 #include "core/conventions.h"
 #include "lighting/sh/irradiance.h"
 #include "prt/geometry/receiver.h"
-#include "runtime/shading/scene_light.h"
+#include "runtime/direct/scene_light.h"
 #include "runtime/surroundings/real_point.h"
 
 namespace penumbra::runtime {

@@ -1,4 +1,4 @@
-#include "runtime/shading/direct_light_stage.h"
+#include "runtime/direct/direct_light_stage.h"
 
 #include <algorithm>
 #include <bit>
@@ -10,7 +10,7 @@
 #include "lighting/sh/irradiance.h"
 #include "prt/geometry/mesh.h"
 #include "prt/geometry/plane.h"
-#include "prt/geometry/rays.h"
+#include "prt/rays/rays.h"
 #include "shadows/visibility/direct_light.h"
 
 namespace penumbra::runtime {

@@ -1,4 +1,4 @@
-#include "runtime/shading/real_surface_stage.h"
+#include "runtime/direct/real_surface_stage.h"
 
 #include <algorithm>
 #include <cmath>
@@ -13,8 +13,7 @@
 #include "prt/geometry/mesh.h"
 #include "prt/transfer/relight.h"
 #include "prt/transfer/transfer.h"
-#include "runtime/shading/composite_stage.h"
-#include "runtime/shading/scene_light.h"
+#include "runtime/direct/scene_light.h"
 
 namespace penumbra::runtime {
 
@@ -24,7 +23,7 @@ bool RealSurfaceStage::measure(const lighting::LightEstimate& light, const Direc
                                bool lights_changed) {
   const bool first = exit_.empty();
   if (!first && !lights_changed &&
-      lighting::largest_visible_change(measured_, light.light) < CompositeStage::kVisibleChange)
+      lighting::largest_visible_change(measured_, light.light) < kVisibleChange)
     return false;
   measured_ = light.light;
   const prt::Mesh& mesh = scene_->real_mesh;

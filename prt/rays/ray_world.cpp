@@ -3,9 +3,9 @@
 #include <algorithm>
 #include <utility>
 
-#include "prt/geometry/internal/embree_mesh.h"
 #include "prt/geometry/mesh.h"
-#include "prt/geometry/rays.h"
+#include "prt/rays/internal/embree_mesh.h"
+#include "prt/rays/rays.h"
 
 namespace penumbra::prt {
 

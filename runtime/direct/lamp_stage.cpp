@@ -1,4 +1,4 @@
-#include "runtime/shading/lamp_stage.h"
+#include "runtime/direct/lamp_stage.h"
 
 #include <algorithm>
 #include <cmath>

@@ -15,6 +15,10 @@
 
 namespace penumbra::runtime {
 
+/// Light whose largest possible effect, by a bound that is loose two to ten times, is below this
+/// fraction of the mean cannot be seen in 8 bits.
+inline constexpr double kVisibleChange = .01;
+
 /// A plane counts as level when its normal's y is larger: within a quarter of a degree.
 inline constexpr double kLevel = .99999;
 /// A baked thing that stands on a level floor takes the floor's light

@@ -1,4 +1,4 @@
-#include "runtime/pipeline/governor_config.h"
+#include "runtime/governor/governor_config.h"
 
 #include <algorithm>
 #include <cmath>
@@ -11,11 +11,11 @@
 #include "lighting/sh/rotation.h"
 #include "prt/bake/bake.h"
 #include "prt/transfer/transfer.h"
-#include "runtime/pipeline/internal/kept_costs.h"
-#include "runtime/pipeline/single_thread_time.h"
+#include "runtime/direct/direct_light_stage.h"
+#include "runtime/direct/scene_light.h"
+#include "runtime/governor/internal/kept_costs.h"
+#include "runtime/governor/single_thread_time.h"
 #include "runtime/shading/composite_stage.h"
-#include "runtime/shading/direct_light_stage.h"
-#include "runtime/shading/scene_light.h"
 #include "runtime/surroundings/occlusion_probes.h"
 #include "shadows/field/planar_shadow.h"
 
