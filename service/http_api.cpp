@@ -47,7 +47,7 @@ namespace {
 // "starting" before any light, "stale" when light or frames stopped coming, else "ok".
 std::string status_of(const PublishedState::Snapshot& s, double stale_after_s) {
   if (!s.light.valid) return "starting";
-  return s.light.age(s.now).count() + s.idle_s > stale_after_s ? "stale" : "ok";
+  return std::max(0., s.light.age(s.now).count()) + s.idle_s > stale_after_s ? "stale" : "ok";
 }
 
 nlohmann::json to_json(const capture::CameraCounts& c) {
@@ -93,15 +93,78 @@ void let_address_be_reused(socket_t socket) {
 
 }  // namespace
 
+namespace {
+
+// The newest frame as JPEG, encoded once however many clients ask.
+class FrameJpeg {
+ public:
+  Result<std::shared_ptr<const std::string>> of(std::shared_ptr<const FramePixels> frame) {
+    const std::scoped_lock lock(mutex_);
+    if (frame_ != frame) {
+      PENUMBRA_ASSIGN(jpeg, codec::encode_jpeg(codec::to_display(*frame)));
+      bytes_ = std::make_shared<const std::string>(jpeg.begin(), jpeg.end());
+      frame_ = std::move(frame);
+    }
+    return bytes_;
+  }
+
+ private:
+  std::mutex mutex_;
+  std::shared_ptr<const FramePixels> frame_;
+  std::shared_ptr<const std::string> bytes_;
+};
+
+// Stage times are ranked once a second, however many clients ask.
+class RecentStages {
+ public:
+  explicit RecentStages(const StageTimes& times) : times_(times) {}
+  nlohmann::json now() {
+    const std::scoped_lock lock(mutex_);
+    const auto at = std::chrono::steady_clock::now();
+    if (stages_.is_null() || at - made_ > std::chrono::seconds(1)) {
+      stages_ = runtime::to_json(times_);
+      made_ = at;
+    }
+    return stages_;
+  }
+
+ private:
+  const StageTimes& times_;
+  std::mutex mutex_;
+  nlohmann::json stages_;
+  std::chrono::steady_clock::time_point made_;
+};
+
+int status_of(ErrorCode code) {
+  if (code == ErrorCode::kNotFound) return 404;
+  return code == ErrorCode::kUnavailable ? 503 : 400;
+}
+
+void refuse(httplib::Response& response, const Error& error) {
+  reply(response, {{"error", error.where + " " + error.detail}}, status_of(error.code));
+}
+
+}  // namespace
+
 struct HttpApi::Impl {
+  // Clients that keep their connection and say nothing hold one each, for kIdle_s.
+  static constexpr std::size_t kWorkers = 64;
+  static constexpr int kIdle_s = 1;
+
   httplib::Server server;
+  FrameJpeg jpeg;
+  std::unique_ptr<RecentStages> stages;
   std::jthread thread;
   int port = 0;
 
   void guard() {
     server.set_pre_routing_handler([](const httplib::Request& q, httplib::Response& r) {
-      if (is_for_loopback(q)) return httplib::Server::HandlerResponse::Unhandled;
-      reply(r, {{"error", "only requests to localhost or a loopback address are answered"}}, 403);
+      if (!is_for_loopback(q))
+        reply(r, {{"error", "only requests to localhost or a loopback address are answered"}}, 403);
+      else if (q.ranges.size() > 1)  // each would be answered, however often it is asked for
+        reply(r, {{"error", "one range at a time is answered"}}, 416);
+      else
+        return httplib::Server::HandlerResponse::Unhandled;
       return httplib::Server::HandlerResponse::Handled;
     });
     server.set_exception_handler(
@@ -113,17 +176,21 @@ struct HttpApi::Impl {
     server.set_payload_max_length(1 << 16);
     server.set_read_timeout(5);
     server.set_write_timeout(5);
+    server.set_keep_alive_timeout(kIdle_s);
+    server.set_keep_alive_max_count(10'000);
+    server.new_task_queue = [] { return new httplib::ThreadPool(kWorkers); };
   }
 
   void routes(const PublishedState& state, const StageTimes& times, double stale_after_s) {
+    stages = std::make_unique<RecentStages>(times);
     server.Get("/healthz",
-               [&state, &times, stale_after_s](const httplib::Request&, httplib::Response& r) {
+               [this, &state, stale_after_s](const httplib::Request&, httplib::Response& r) {
                  const auto s = state.snapshot();
                  const std::string status = status_of(s, stale_after_s);
                  nlohmann::json body = {{"status", status},
                                         {"frames", s.frames},
                                         {"dropped", runtime::to_json(s.overtaken)},
-                                        {"stages", runtime::to_json(times)}};
+                                        {"stages", stages->now()}};
                  for (const auto& [name, counts] : s.cameras)
                    body["cameras"][name] = to_json(counts);
                  reply(r, body, status == "ok" ? 200 : 503);
@@ -133,7 +200,8 @@ struct HttpApi::Impl {
       if (!s.light.valid) return reply(r, {{"error", "no light has been measured yet"}}, 503);
       nlohmann::json body = runtime::to_json(s.light);
       body["time_ns"] = s.light.time.value;
-      body["age_s"] = s.light.age(s.now).count() + s.idle_s;
+      // A light may be newer than the newest view frame.
+      body["age_s"] = std::max(0., s.light.age(s.now).count()) + s.idle_s;
       body["valid"] = s.light.valid;
       body["status"] = status_of(s, stale_after_s);
       body["units"] =
@@ -142,17 +210,40 @@ struct HttpApi::Impl {
           "l*l+l+m, z the pole of a y-up world";
       reply(r, body);
     });
-    server.Get("/v1/frame.jpg", [&state](const httplib::Request&, httplib::Response& r) {
+    server.Get("/v1/frame.jpg", [this, &state](const httplib::Request&, httplib::Response& r) {
       const auto s = state.snapshot();
       if (!s.frame) return reply(r, {{"error", "no frame has been composited yet"}}, 503);
-      const auto jpeg = codec::encode_jpeg(codec::to_display(*s.frame));
-      if (!jpeg) return reply(r, {{"error", jpeg.error().detail}}, 500);
-      r.set_content(std::string(jpeg->begin(), jpeg->end()), "image/jpeg");
+      const auto bytes = jpeg.of(s.frame);
+      if (!bytes) return reply(r, {{"error", bytes.error().detail}}, 500);
+      r.set_content(**bytes, "image/jpeg");
     });
+    errors();
+  }
+
+  // What a web page can send without being asked is no JSON: its changes are refused.
+  void object_routes(SceneControl* objects) {
+    server.Get("/v1/objects", [objects](const httplib::Request&, httplib::Response& r) {
+      const nlohmann::json all = objects ? objects->objects() : nullptr;
+      if (all.is_null()) return reply(r, {{"error", "the scene is still being prepared"}}, 503);
+      reply(r, {{"objects", all}});
+    });
+    server.Patch("/v1/objects/(.+)", [objects](const httplib::Request& q, httplib::Response& r) {
+      if (!q.get_header_value("Content-Type").starts_with("application/json"))
+        return reply(r, {{"error", "the body must be application/json"}}, 415);
+      const auto change = read_object_change(q.body);
+      if (!change) return refuse(r, change.error());
+      if (!objects) return reply(r, {{"error", "the scene is still being prepared"}}, 503);
+      if (const auto done = objects->change(q.matches[1].str(), *change); !done)
+        return refuse(r, done.error());
+      reply(r, {{"objects", objects->objects()}});
+    });
+  }
+
+  void errors() {
     server.set_error_handler([](const httplib::Request& q, httplib::Response& r) {
       if (!r.body.empty()) return;
       if (r.status == 404 && q.method != "GET" && q.method != "HEAD")
-        reply(r, {{"error", "only GET is answered"}}, 405);
+        reply(r, {{"error", "GET is answered, and PATCH at /v1/objects/NAME"}}, 405);
       else if (r.status == 404)
         reply(r, {{"error", fmt::format("nothing at {}", q.path.substr(0, 200))}}, 404);
       else
@@ -174,10 +265,12 @@ int HttpApi::port() const {
 
 Result<std::unique_ptr<HttpApi>> HttpApi::start(const std::string& address, int port,
                                                 const PublishedState& state,
-                                                const StageTimes& times, double stale_after_s) {
+                                                const StageTimes& times, double stale_after_s,
+                                                SceneControl* objects) {
   auto impl = std::make_unique<Impl>();
   impl->guard();
   impl->routes(state, times, stale_after_s);
+  impl->object_routes(objects);
   impl->port = port == 0 ? impl->server.bind_to_any_port(address) : port;
   const bool bound = port == 0 ? impl->port > 0 : impl->server.bind_to_port(address, port);
   if (!bound)

@@ -1,4 +1,5 @@
-// The HTTP interface on loopback: GET /healthz, /v1/light, /v1/frame.jpg.
+// The HTTP interface on loopback: GET /healthz, /v1/light, /v1/frame.jpg, /v1/objects, and PATCH
+// /v1/objects/NAME.
 // threads: PublishedState thread-safe, HttpApi thread-bound
 #pragma once
 
@@ -15,6 +16,7 @@
 #include "core/threads/stage_times.h"
 #include "lighting/light_estimate.h"
 #include "runtime/pipeline/runs.h"
+#include "service/scene_control.h"
 
 namespace penumbra::service {
 
@@ -51,9 +53,11 @@ class HttpApi {
  public:
   /// port 0 takes any free one.
   /// errors: kUnavailable (address in use)
+  /// in: all outlive it; without `objects` none are there
   static Result<std::unique_ptr<HttpApi>> start(const std::string& address, int port,
                                                 const PublishedState& state,
-                                                const StageTimes& times, double stale_after_s);
+                                                const StageTimes& times, double stale_after_s,
+                                                SceneControl* objects = nullptr);
   ~HttpApi();
   int port() const;
 

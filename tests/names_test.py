@@ -85,7 +85,8 @@ TABLES = {
         "`/v1/light`": [f"{REPORT}: json to_json(const lighting::LightEstimate& + "
                         f'{HTTP}: server.Get("/v1/light" - error',
                         f"{REPORT}: json to_json(const lighting::DistantLight&",
-                        f"{REPORT}: json to_json(const lighting::Plan&"]},
+                        f"{REPORT}: json to_json(const lighting::Plan&"],
+        "`/v1/objects`": ["service/scene_control.cpp: kChangeKeys[]"]},
     "json.md": {
         "demo, composite and summary.json": [
             f"{SUMMARY} - {CONFIGURATION} + configuration", f"{CONFIGURATION} - configuration"],

@@ -21,22 +21,25 @@ void StageTimes::add(std::string_view stage, double ms) {
 }
 
 std::vector<std::pair<std::string, StageTimes::Percentiles>> StageTimes::summary() const {
-  // Sorted outside the lock: whoever asks must not hold up the stages.
+  // Ranked outside the lock: whoever asks must not hold up the stages.
   std::vector<Stage> stages;
   {
     const std::scoped_lock lock(mutex_);
     stages = stages_;
   }
   std::vector<std::pair<std::string, Percentiles>> out;
-  for (const Stage& stage : stages) {
-    std::vector<float> sorted = stage.ms;
-    std::ranges::sort(sorted);
+  for (Stage& stage : stages) {
+    std::vector<float>& ms = stage.ms;
     const auto at = [&](double fraction) {
       const auto rank =
-          static_cast<std::size_t>(std::ceil(fraction * static_cast<double>(sorted.size())));
-      return static_cast<double>(sorted[std::clamp<std::size_t>(rank, 1, sorted.size()) - 1]);
+          static_cast<std::size_t>(std::ceil(fraction * static_cast<double>(ms.size())));
+      const auto place =
+          static_cast<std::ptrdiff_t>(std::clamp<std::size_t>(rank, 1, ms.size()) - 1);
+      std::ranges::nth_element(ms, ms.begin() + place);
+      return static_cast<double>(ms[static_cast<std::size_t>(place)]);
     };
-    out.emplace_back(stage.name, Percentiles{at(.5), at(.99), sorted.size()});
+    const double median = at(.5);
+    out.emplace_back(stage.name, Percentiles{median, at(.99), ms.size()});
   }
   return out;
 }

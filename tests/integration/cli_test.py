@@ -530,6 +530,26 @@ class Serve(CliTest):
             time.sleep(0.1)
         self.fail(f"never ok: {health}\n{''.join(self.lines)}")
 
+    def objects(self):
+        return {o["name"]: o for o in json.loads(self.get("/v1/objects")[2])["objects"]}
+
+    def check_objects(self):
+        """Moved by a request, and by the scene file on SIGHUP; SIGUSR1 changes nothing."""
+        name, before = next(iter(self.objects().items()))
+        body = json.dumps({"position_m": [0.1, 0, 0.2], "turn_deg": 45}).encode()
+        request = urllib.request.Request(f"{self.base}/v1/objects/{name}", data=body, method="PATCH",
+                                         headers={"Content-Type": "application/json"})
+        with urllib.request.urlopen(request, timeout=20 * PATIENCE) as reply:
+            self.assertEqual(reply.status, 200)
+        self.assertEqual(self.objects()[name]["position_m"], [0.1, 0, 0.2])
+        self.process.send_signal(signal.SIGUSR1)
+        self.process.send_signal(signal.SIGHUP)  # the file says what it said
+        for _ in range(300):
+            if self.objects()[name]["position_m"] == before["position_m"]:
+                return
+            time.sleep(.1)
+        self.fail(f"not reloaded: {self.objects()}\n{''.join(self.lines)}")
+
     def test_service_answers_and_ends_when_told(self):
         self.assertGreater(self.wait_until_ok()["frames"], 0)
         status, kind, body = self.get("/v1/light")
@@ -548,6 +568,7 @@ class Serve(CliTest):
             self.assertEqual((status, kind), (404, "application/json"), path)
             self.assertIn("error", json.loads(body))
         self.assertGreaterEqual(self.get("/healthz", "DELETE")[0], 400)
+        self.check_objects()
         self.process.send_signal(signal.SIGTERM)
         self.assertEqual(self.process.wait(timeout=60 * PATIENCE), 0, "".join(self.lines))
 
