@@ -188,6 +188,8 @@ def names_at(sources, place, pattern):
     if last.startswith("["):
         found = written_keys(lines, last.strip("[]"))
     else:
+        if last.endswith("Keys[]"):  # a list, also where JSON is read
+            pattern = READ_KEY
         found = ((name, number) for number, line in lines for match in pattern.finditer(line)
                  for name in match.groups() if name)
     out = {}
