@@ -27,6 +27,14 @@ void PublishedState::publish(const lighting::LightEstimate& light, TimestampNs n
   published_ = std::chrono::steady_clock::now();
 }
 
+void PublishedState::publish_progress(const std::string& work, double done) {
+  const std::scoped_lock lock(mutex_);
+  if (done < 1)
+    state_.preparing[work] = done;
+  else
+    state_.preparing.erase(work);
+}
+
 void PublishedState::publish_cameras(const std::vector<capture::CameraInfo>& cameras,
                                      std::vector<capture::CameraCounts> counts) {
   const std::scoped_lock lock(mutex_);
@@ -191,6 +199,7 @@ struct HttpApi::Impl {
                                         {"frames", s.frames},
                                         {"dropped", runtime::to_json(s.overtaken)},
                                         {"stages", stages->now()}};
+                 for (const auto& [work, done] : s.preparing) body["preparing"][work] = done;
                  for (const auto& [name, counts] : s.cameras)
                    body["cameras"][name] = to_json(counts);
                  reply(r, body, status == "ok" ? 200 : 503);

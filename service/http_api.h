@@ -4,6 +4,7 @@
 #pragma once
 
 #include <chrono>
+#include <map>
 #include <memory>
 #include <mutex>
 #include <string>
@@ -27,6 +28,8 @@ class PublishedState {
   void publish(const lighting::LightEstimate& light, TimestampNs now,
                std::shared_ptr<const FramePixels> frame,
                const runtime::OvertakenFrames& overtaken = {});
+  /// How far work on the scene has come, 0..1, by name; at 1 it is over.
+  void publish_progress(const std::string& work, double done);
   /// What became of the frames of real cameras, by name.
   void publish_cameras(const std::vector<capture::CameraInfo>& cameras,
                        std::vector<capture::CameraCounts> counts);
@@ -39,6 +42,7 @@ class PublishedState {
     std::uint64_t frames = 0;
     runtime::OvertakenFrames overtaken;
     std::vector<std::pair<std::string, capture::CameraCounts>> cameras;  // real ones
+    std::map<std::string, double> preparing;  // work that goes on, and how far it has come
   };
   Snapshot snapshot() const;
 

@@ -1,12 +1,16 @@
 #include "service/serve.h"
 
 #include <atomic>
+#include <chrono>
 #include <csignal>
+#include <cstdlib>
 
 #include "capture/frames.h"
 #include "core/io/log.h"
 #include "core/threads/stop_signal.h"
 #include "runtime/pipeline/pipeline.h"
+#include "runtime/shading/composite_stage.h"
+#include "service/background_scene.h"
 #include "service/http_api.h"
 #include "service/rig_config.h"
 #include "service/rig_source.h"
@@ -61,42 +65,110 @@ void reload(const RigConfig& config, const runtime::Scene& before, SceneControl&
 
 }  // namespace
 
+namespace {
+
+// One after the other: until its objects are baked a scene has none.
+class Service {
+ public:
+  Service(const RigConfig& config, const ProgressOf& progress)
+      : config_(config), progress_([this, progress](const std::string& work) {
+          return [this, work, shown = progress(work)](double done) {
+            if (shown) shown(done);
+            state_.publish_progress(work, done);
+          };
+        }) {
+    options_.bands = config.bands;
+    options_.max_lights = config.max_lights;
+    options_.max_shadow_error = config.max_shadow_error;
+    options_.progress = progress_;
+    options_.timings = std::make_shared<StageTimes>();
+  }
+  Result<void> run();
+
+ private:
+  Result<void> run_without_objects(const BackgroundScene& scene, const std::atomic<bool>& stop);
+  Result<void> run_with(runtime::PreparedScene scene, const std::atomic<bool>& stop);
+  void publish(const runtime::Output& out) {
+    state_.publish(out.light, out.source.time, out.pixels, out.overtaken);
+    state_.publish_cameras(rig_.source->cameras(), rig_.source->counts());
+  }
+
+  const RigConfig& config_;
+  PublishedState state_;
+  SceneControl objects_;
+  ProgressOf progress_;
+  PipelineOptions options_;
+  RigSource rig_;
+};
+
+// The camera's picture and the light, while objects are baked.
+Result<void> Service::run_without_objects(const BackgroundScene& scene,
+                                          const std::atomic<bool>& stop) {
+  runtime::Scene bare = rig_.scene;
+  bare.objects.clear();
+  PENUMBRA_ASSIGN(pipeline, Pipeline::create(rig_.source->cameras(), bare, options_));
+  const auto sink = [&](const runtime::Output& out) {
+    publish(out);
+    return !scene.is_ready();
+  };
+  PENUMBRA_TRY(pipeline.run_live(*rig_.source, sink, stop));
+  return {};
+}
+
+Result<void> Service::run_with(runtime::PreparedScene prepared, const std::atomic<bool>& stop) {
+  const auto scene = std::make_shared<runtime::PreparedScene>(std::move(prepared));
+  options_.measure_costs = true;
+  PENUMBRA_ASSIGN(pipeline, Pipeline::create(rig_.source->cameras(), scene, options_));
+  runtime::drop_coefficients(*scene);
+  const AttachedPipeline attached(objects_, pipeline);
+  std::signal(SIGHUP, on_reload);
+  const auto sink = [&](const runtime::Output& out) {
+    if (g_reload.exchange(false)) reload(config_, rig_.scene, objects_);
+    publish(out);
+    return true;
+  };
+  PENUMBRA_ASSIGN(counts, pipeline.run_live(*rig_.source, sink, stop));
+  log_info("stopped after {} frames in {:.1f} s; {} view and {} environment frames dropped",
+           counts.frames, counts.seconds, counts.overtaken.view, counts.overtaken.environment);
+  tell_losses(rig_.source->cameras(), rig_.source->counts());
+  return {};
+}
+
+Result<void> Service::run() {
+  constexpr std::chrono::seconds kFromCache(2);  // takes no longer
+  // The port first: whether it is free should not be learnt after long work, and clients see
+  // "starting".
+  PENUMBRA_ASSIGN(api, HttpApi::start(config_.address, config_.port, state_, *options_.timings,
+                                      config_.stale_after_s, &objects_));
+  PENUMBRA_ASSIGN(rig, open_rig(config_, progress_));
+  rig_ = std::move(rig);
+  PENUMBRA_TRY(Pipeline::check(rig_.source->cameras()));
+  const std::atomic<bool>& stop = catch_stop_signals();
+  runtime::BakeSettings settings;
+  settings.bands = config_.bands;
+  BackgroundScene scene(rig_.scene, settings, progress_);
+  const bool at_once = scene.is_ready(kFromCache);
+  log_info("listening on http://{}:{}", config_.address, api->port());
+  if (!at_once) {
+    log_info("the scene's objects are baked first: until then the camera's picture is shown");
+    PENUMBRA_TRY(run_without_objects(scene, stop));
+  }
+  if (stop) {
+    // A bake cannot be told to stop. It leaves nothing half-written.
+    log_info("stopped before the objects were baked");
+    std::_Exit(0);
+  }
+  PENUMBRA_ASSIGN(prepared, scene.take());
+  return run_with(std::move(prepared), stop);
+}
+
+}  // namespace
+
 Result<void> serve(const ServeOptions& o, const ProgressOf& progress) {
   PENUMBRA_ASSIGN(config, read_rig_config(o.config));
   std::signal(SIGHUP, SIG_IGN);  // until there is something to reload
   std::signal(SIGUSR1, SIG_IGN);
-  // The port first: whether it is free should not be learnt after the bake, and clients see
-  // "starting".
-  PipelineOptions options;
-  options.bands = config.bands;
-  options.max_lights = config.max_lights;
-  options.max_shadow_error = config.max_shadow_error;
-  options.measure_costs = true;
-  options.progress = progress;
-  options.timings = std::make_shared<StageTimes>();
-  PublishedState state;
-  SceneControl objects;
-  PENUMBRA_ASSIGN(api, HttpApi::start(config.address, config.port, state, *options.timings,
-                                      config.stale_after_s, &objects));
-  PENUMBRA_ASSIGN(rig, open_rig(config, progress));
-  const auto& cameras = rig.source->cameras();
-  PENUMBRA_ASSIGN(pipeline, Pipeline::create(cameras, rig.scene, options));
-
-  const AttachedPipeline attached(objects, pipeline);
-  std::signal(SIGHUP, on_reload);
-  const std::atomic<bool>& stop = catch_stop_signals();
-  log_info("listening on http://{}:{}", config.address, api->port());
-  const auto publish = [&](const runtime::Output& out) {
-    if (g_reload.exchange(false)) reload(config, rig.scene, objects);
-    state.publish(out.light, out.source.time, out.pixels, out.overtaken);
-    state.publish_cameras(cameras, rig.source->counts());
-    return true;
-  };
-  PENUMBRA_ASSIGN(counts, pipeline.run_live(*rig.source, publish, stop));
-  log_info("stopped after {} frames in {:.1f} s; {} view and {} environment frames dropped",
-           counts.frames, counts.seconds, counts.overtaken.view, counts.overtaken.environment);
-  tell_losses(cameras, rig.source->counts());
-  return {};
+  return Service(config, progress).run();
 }
 
 }  // namespace penumbra::service

@@ -535,6 +535,10 @@ class Serve(CliTest):
 
     def check_objects(self):
         """Moved by a request, and by the scene file on SIGHUP; SIGUSR1 changes nothing."""
+        for _ in range(1200):  # they are baked first
+            if self.get("/v1/objects")[0] == 200:
+                break
+            time.sleep(.1)
         name, before = next(iter(self.objects().items()))
         body = json.dumps({"position_m": [0.1, 0, 0.2], "turn_deg": 45}).encode()
         request = urllib.request.Request(f"{self.base}/v1/objects/{name}", data=body, method="PATCH",
