@@ -115,6 +115,18 @@ TEST(HttpApi, HealthTellsWhatBecameOfEachCamerasFrames) {
   EXPECT_TRUE(body["cameras"]["view"]["delay_frames"].is_null());
 }
 
+// A worker each for as long as they may be idle: with few workers the ninth would not be answered.
+TEST(HttpApi, ClientsThatKeepTheirConnectionsHoldNobodyUp) {
+  Served s;
+  std::vector<std::unique_ptr<httplib::Client>> clients;
+  for (int i = 0; i < 40; ++i) {
+    clients.push_back(std::make_unique<httplib::Client>("127.0.0.1", s.api->port()));
+    clients.back()->set_keep_alive(true);
+    clients.back()->set_read_timeout(3);
+    EXPECT_TRUE(clients.back()->Get("/healthz")) << i;
+  }
+}
+
 // Changes of objects before there is any, and those that are none.
 TEST(HttpApi, ChangesThatAreNoneAreRefusedByName) {
   Served s;
