@@ -3,6 +3,7 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <cmath>
 #include <iterator>
 #include <numbers>
 
@@ -19,7 +20,10 @@ constexpr std::string_view kChangeKeys[] = {"position_m",  "turn_deg", "visible"
                                             "clip_time_s", "speed",    "blend_weight"};
 
 Result<double> number(const json& value, const std::string& key) {
+  constexpr double kMost = 1e6;  // of metres, degrees, seconds
   if (!value.is_number()) return fail(ErrorCode::kInvalid, key, "is not a number");
+  if (!(std::abs(value.get<double>()) <= kMost))
+    return fail(ErrorCode::kInvalid, key, "is not within -1000000..1000000");
   return value.get<double>();
 }
 
@@ -79,8 +83,10 @@ void SceneControl::attach(Pipeline* pipeline) {
   objects_.clear();
   if (!pipeline) return;
   for (const runtime::PreparedObject& o : pipeline->scene().objects)
-    objects_[o.name] = {
-        {o.world_from_bake.translation, 0}, o.visible, o.animation != nullptr || o.spin_rpm != 0};
+    objects_[o.name] = {{o.world_from_bake.translation, 0},
+                        o.world_from_bake.translation,
+                        o.visible,
+                        o.animation != nullptr || o.spin_rpm != 0};
 }
 
 Result<void> SceneControl::change(std::string_view object, const ObjectChange& change) {
@@ -90,8 +96,11 @@ Result<void> SceneControl::change(std::string_view object, const ObjectChange& c
   runtime::ObjectPlace place =
       found == objects_.end() ? runtime::ObjectPlace{} : found->second.place;
   if (change.position_m) place.position_m = *change.position_m;
+  if (change.shift_m && found != objects_.end())
+    place.position_m = found->second.at_first + *change.shift_m;
   if (change.turn_deg) place.turn_rad = *change.turn_deg * kDegree;
-  const bool moves = change.position_m || change.turn_deg || found == objects_.end();
+  const bool moves =
+      change.position_m || change.shift_m || change.turn_deg || found == objects_.end();
   if (moves) PENUMBRA_TRY(pipeline_->move_object(object, place));
   if (any(change.playback))
     if (const auto played = pipeline_->play_object(object, change.playback); !played) {

@@ -19,6 +19,7 @@ namespace penumbra::service {
 /// What is not given stays as it is.
 struct ObjectChange {
   std::optional<glm::dvec3> position_m{};  // on the plane that the object stands on
+  std::optional<glm::dvec3> shift_m{};     // or so far from where the scene has it
   std::optional<double> turn_deg{};        // about the plane's normal, from how the scene has it
   std::optional<bool> visible{};
   runtime::ObjectPlayback playback{};
@@ -42,6 +43,7 @@ class SceneControl {
  private:
   struct ShownObject {
     runtime::ObjectPlace place;
+    glm::dvec3 at_first{0, 0, 0};
     bool visible = true, plays = false;
   };
   mutable std::mutex mutex_;

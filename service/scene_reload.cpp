@@ -33,12 +33,20 @@ const SceneObject* find(const runtime::Scene& scene, const std::string& name) {
   return found == scene.objects.end() ? nullptr : &*found;
 }
 
-void apply(const SceneObject& before, const SceneObject& now, SceneControl& objects) {
+bool places_alike(const SceneObject& a, const SceneObject& b) {
+  return a.position == b.position && a.rotation == b.rotation;
+}
+
+void apply(const SceneObject& at_first, const SceneObject* last, const SceneObject& now,
+           SceneControl& objects) {
   ObjectChange change;
-  change.position_m = now.position;
-  change.turn_deg = turn_deg(before.rotation, now.rotation);
-  change.visible = now.visible;
-  if (!change.turn_deg || is_another_bake(before, now))
+  const auto turn = turn_deg(at_first.rotation, now.rotation);
+  if (!last || !places_alike(*last, now)) {
+    change.shift_m = now.position - at_first.position;
+    change.turn_deg = turn;
+  }
+  if (!last || last->visible != now.visible) change.visible = now.visible;
+  if (!turn || is_another_bake(at_first, now))
     log_warning("{}: a change of more than place, turn and visibility takes a restart", now.name);
   if (const auto done = objects.change(now.name, change); !done)
     log_warning("{}: stays where it is: {} {}", now.name, done.error().where, done.error().detail);
@@ -46,16 +54,16 @@ void apply(const SceneObject& before, const SceneObject& now, SceneControl& obje
 
 }  // namespace
 
-void apply_scene(const runtime::Scene& before, const runtime::Scene& now, SceneControl& objects) {
+void apply_scene(const runtime::Scene& at_first, const runtime::Scene& last,
+                 const runtime::Scene& now, SceneControl& objects) {
   for (const SceneObject& o : now.objects) {
-    const SceneObject* const was = find(before, o.name);
-    if (was)
-      apply(*was, o, objects);
+    if (const SceneObject* const was = find(at_first, o.name))
+      apply(*was, find(last, o.name), o, objects);
     else
       log_warning("{}: an object that is new takes a restart", o.name);
   }
-  for (const SceneObject& o : before.objects) {
-    if (find(now, o.name)) continue;
+  for (const SceneObject& o : at_first.objects) {
+    if (find(now, o.name) || !find(last, o.name)) continue;
     (void)objects.change(o.name, {.visible = false});  // it was there: nothing can fail
     log_info("{}: is out of the scene file and hidden", o.name);
   }

@@ -53,13 +53,15 @@ extern "C" void on_reload(int) {
 }
 
 // Of what the scene file says now, as far as a running pipeline can follow.
-void reload(const RigConfig& config, const runtime::Scene& before, SceneControl& objects) {
+void reload(const RigConfig& config, const runtime::Scene& at_first, runtime::Scene& last,
+            SceneControl& objects) {
   if (!config.scene) return log_info("reload: the studio's own scene has no file");
   const auto now = runtime::read_scene(*config.scene);
   if (!now)
     return log_warning("reload: the scene stays as it is: {}: {}", now.error().where,
                        now.error().detail);
-  apply_scene(before, *now, objects);
+  apply_scene(at_first, last, *now, objects);
+  last = *now;
   log_info("reload: {} is read anew", *config.scene);
 }
 
@@ -99,6 +101,7 @@ class Service {
   ProgressOf progress_;
   PipelineOptions options_;
   RigSource rig_;
+  runtime::Scene scene_now_;  // as its file was last read
 };
 
 // The camera's picture and the light, while objects are baked.
@@ -111,7 +114,10 @@ Result<void> Service::run_without_objects(const BackgroundScene& scene,
     publish(out);
     return !scene.is_ready();
   };
-  PENUMBRA_TRY(pipeline.run_live(*rig_.source, sink, stop));
+  const auto shown = pipeline.run_live(*rig_.source, sink, stop);
+  // Before there is light the scene may be ready already.
+  if (!shown && shown.error().code != ErrorCode::kUndetermined)
+    return std::unexpected(shown.error());
   return {};
 }
 
@@ -123,7 +129,7 @@ Result<void> Service::run_with(runtime::PreparedScene prepared, const std::atomi
   const AttachedPipeline attached(objects_, pipeline);
   std::signal(SIGHUP, on_reload);
   const auto sink = [&](const runtime::Output& out) {
-    if (g_reload.exchange(false)) reload(config_, rig_.scene, objects_);
+    if (g_reload.exchange(false)) reload(config_, rig_.scene, scene_now_, objects_);
     publish(out);
     return true;
   };
@@ -142,16 +148,20 @@ Result<void> Service::run() {
                                       config_.stale_after_s, &objects_));
   PENUMBRA_ASSIGN(rig, open_rig(config_, progress_));
   rig_ = std::move(rig);
+  scene_now_ = rig_.scene;
   PENUMBRA_TRY(Pipeline::check(rig_.source->cameras()));
   const std::atomic<bool>& stop = catch_stop_signals();
   runtime::BakeSettings settings;
   settings.bands = config_.bands;
   BackgroundScene scene(rig_.scene, settings, progress_);
-  const bool at_once = scene.is_ready(kFromCache);
+  // A run closes its source, and real cameras open once.
+  const bool at_once = rig_.source->is_live() || scene.is_ready(kFromCache);
   log_info("listening on http://{}:{}", config_.address, api->port());
   if (!at_once) {
     log_info("the scene's objects are baked first: until then the camera's picture is shown");
     PENUMBRA_TRY(run_without_objects(scene, stop));
+  }
+  while (!stop && !scene.is_ready(std::chrono::milliseconds(100))) {
   }
   if (stop) {
     // A bake cannot be told to stop. It leaves nothing half-written.

@@ -455,7 +455,11 @@ Result<void> Layers::draw(const View& view, const Rect& receiver_area, CommonLay
   // A camera on a tripod: what unchanged objects in unchanged light show still holds.
   if (drawn_ && drawn_->shows(view, receiver_area, has_occluders())) {
     PENUMBRA_ASSIGN(done, redraw_changed(view, objects_layer));
-    if (done) return check_gl();
+    if (done) {
+      const auto drawn = check_gl();
+      if (!drawn) drawn_.reset();
+      return drawn;
+    }
   }
   drawn_.reset();
   Layer &objects = objects_layer.renewed(), &hidden = hidden_layer.renewed();

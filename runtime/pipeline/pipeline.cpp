@@ -114,6 +114,9 @@ Result<Pipeline> Pipeline::create(const std::vector<capture::CameraInfo>& camera
   PENUMBRA_TRY(penumbra::check(options));
   auto impl = std::make_unique<Impl>();
   if (!scene) return fail(ErrorCode::kInvalid, "scene", "is null");
+  for (const runtime::PreparedObject& o : scene->objects)
+    if (!o.animation && o.baked.transfer.points > 0 && o.baked.transfer.values.empty())
+      return fail(ErrorCode::kInvalid, o.name, "keeps no transfer: another pipeline loaded it");
   impl->cameras = cameras;
   impl->scene = std::move(scene);
   impl->times = options.timings ? options.timings : std::make_shared<StageTimes>();

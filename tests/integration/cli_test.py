@@ -547,9 +547,13 @@ class Serve(CliTest):
             self.assertEqual(reply.status, 200)
         self.assertEqual(self.objects()[name]["position_m"], [0.1, 0, 0.2])
         self.process.send_signal(signal.SIGUSR1)
-        self.process.send_signal(signal.SIGHUP)  # the file says what it said
+        scene = self.root / "scene.toml"
+        text = scene.read_text()
+        at = text.index("\n", text.index("[[object]]")) + 1
+        scene.write_text(text[:at] + "position = [0.3, 0, 0]\n" + text[at:])
+        self.process.send_signal(signal.SIGHUP)
         for _ in range(300):
-            if self.objects()[name]["position_m"] == before["position_m"]:
+            if abs(self.objects()[name]["position_m"][0] - before["position_m"][0] - .3) < 1e-6:
                 return
             time.sleep(.1)
         self.fail(f"not reloaded: {self.objects()}\n{''.join(self.lines)}")

@@ -185,6 +185,11 @@ TEST(Pipeline, WhatItLoadsItKeepsInATenthOfTheRoom) {
     return sum;
   };
   EXPECT_LT(10 * coefficients(*loaded), coefficients(*given));
+  const auto again =
+      Pipeline::create(view_camera_alone(),
+                       std::make_shared<const runtime::PreparedScene>(loaded->scene()), options);
+  ASSERT_FALSE(again);
+  EXPECT_EQ(again.error().where, "left");
 }
 
 TEST(Pipeline, WithoutACameraThatShowsTheSurroundingsOnlySetLightGivesLight) {

@@ -144,6 +144,7 @@ TEST(HttpApi, ChangesThatAreNoneAreRefusedByName) {
                                     {"{\"position_m\": [1, 2]}", "three numbers"},
                                     {"{\"position_m\": [1, 2, \"x\"]}", "number"},
                                     {"{\"turn_deg\": true}", "turn_deg"},
+                                    {"{\"speed\": 1e308}", "within"},
                                     {"{\"visible\": 1}", "true nor false"},
                                     {"{\"visble\": true}", "did you mean visible"},
                                     {"{\"speed\": 1e999}", "JSON object"},
@@ -231,11 +232,19 @@ TEST(HttpApi, ANewObjectPlaceIsInTheNextFrame) {
   runtime::Scene edited = scene;
   edited.objects[0].position = {.2, 0, .1};
   edited.objects[0].rotation = glm::angleAxis(glm::radians(30.), glm::dvec3(0, 1, 0));
-  apply_scene(scene, edited, objects);
+  apply_scene(scene, scene, edited, objects);
   EXPECT_TRUE(drawn() == elsewhere);
-  edited.objects.clear();
-  apply_scene(scene, edited, objects);
+  EXPECT_EQ(change("box", R"({"position_m": [0, 0, 0], "turn_deg": 0})"), 200);
+  apply_scene(scene, edited, edited, objects);
+  EXPECT_TRUE(drawn() == at_first) << "what the file does not change stays where a client put it";
+  apply_scene(scene, edited, scene, objects);
+  EXPECT_TRUE(drawn() == at_first);
+  runtime::Scene none = scene;
+  none.objects.clear();
+  apply_scene(scene, scene, none, objects);
   EXPECT_TRUE(drawn() == *frame.pixels);
+  apply_scene(scene, none, scene, objects);
+  EXPECT_TRUE(drawn() == at_first);
   objects.attach(nullptr);
   EXPECT_EQ(change("box", R"({"visible": true})"), 503);
 }
