@@ -7,9 +7,9 @@
 
 namespace penumbra::service {
 
-/// Moves, turns, shows and hides the objects that `now` has otherwise than `last`, which was applied
-/// before, or `at_first`, of which the pipeline was made. What takes a restart is said in the log,
-/// by name.
+/// Moves, turns, shows and hides the objects that `now` has otherwise than `last`, which was
+/// applied before. The pipeline was made of `at_first`. What takes a restart is said in the log, by
+/// name.
 void apply_scene(const runtime::Scene& at_first, const runtime::Scene& last,
                  const runtime::Scene& now, SceneControl& objects);
 
