@@ -46,7 +46,7 @@ bool Layers::fronts_only(const DrawnObject& o, const glm::dvec3& eye) {
 }
 
 bool Layers::in_view(const DrawnObject& o, const glm::dmat4& clip_from_world) const {
-  return o.visible && !reach_of(clip_from_world * o.world_from_bake.matrix(), o.bounds).empty();
+  return !reach_of(o, clip_from_world).empty();
 }
 
 // Seen from behind a plane hides nothing, as in Receivers.

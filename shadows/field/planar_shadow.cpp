@@ -1,5 +1,6 @@
 #include <algorithm>
 #include <cmath>
+#include <glm/common.hpp>
 
 #include "lighting/lights/distant_light.h"
 #include "lighting/sh/basis.h"
@@ -45,13 +46,15 @@ Result<void> compose_planar_shadow(const prt::BakedObject& object, const Receive
   return {};
 }
 
-Rgb ratio_at(const PlanarShadow& shadow, const prt::GroundGrid& grid, const glm::vec2& position) {
+std::optional<glm::ivec2> texel_at(const prt::GroundGrid& grid, const glm::vec2& position) {
   const glm::vec2 uv = grid.uv(position);
-  if (shadow.empty() || !(uv.x >= 0 && uv.x < 1 && uv.y >= 0 && uv.y < 1)) return {1, 1, 1};
-  const auto texel = [&](float at) {
-    return std::min(static_cast<int>(at * static_cast<float>(grid.size)), grid.size - 1);
-  };
-  return shadow.ratio.at(texel(uv.x), texel(uv.y));
+  if (!(uv.x >= 0 && uv.x < 1 && uv.y >= 0 && uv.y < 1)) return std::nullopt;
+  return glm::min(glm::ivec2(uv * static_cast<float>(grid.size)), grid.size - 1);
+}
+
+Rgb ratio_at(const PlanarShadow& shadow, const prt::GroundGrid& grid, const glm::vec2& position) {
+  const auto texel = shadow.empty() ? std::nullopt : texel_at(grid, position);
+  return texel ? shadow.ratio.at(texel->x, texel->y) : Rgb{1, 1, 1};
 }
 
 void compose_planar_shadow(const ReceiverChange& change, const ReceiverLight& light,

@@ -3,6 +3,9 @@
 #pragma once
 
 #include <cstddef>
+#include <glm/ext/vector_int2.hpp>
+#include <glm/vec2.hpp>
+#include <optional>
 #include <span>
 
 #include "core/image.h"
@@ -23,6 +26,9 @@ struct PlanarShadow {
   int x0 = 0, y0 = 0, x1 = 0, y1 = 0;
   bool empty() const { return x0 >= x1 || y0 >= y1; }
 };
+
+/// The texel that holds a place on the plane, x and z in the bake frame; nothing outside the grid.
+std::optional<glm::ivec2> texel_at(const prt::GroundGrid& grid, const glm::vec2& position);
 
 /// Of the texel that holds a place on the plane, x and z in the bake frame; 1 outside the grid.
 Rgb ratio_at(const PlanarShadow& shadow, const prt::GroundGrid& grid, const glm::vec2& position);

@@ -2,9 +2,7 @@
 #include <array>
 #include <cmath>
 #include <cstdint>
-#include <glm/common.hpp>
 #include <glm/ext/vector_int2.hpp>
-#include <optional>
 
 #include "core/half.h"
 #include "core/threads/parallel.h"
@@ -20,13 +18,6 @@ namespace {
 
 // `s` of the first object below which the second cannot be divided out
 constexpr float kDarkest = .02f;
-
-// The texel that holds a place on the plane; nothing outside the grid.
-std::optional<glm::ivec2> texel_at(const prt::GroundGrid& grid, glm::vec2 position) {
-  const glm::vec2 uv = grid.uv(position);
-  if (!(uv.x >= 0 && uv.x < 1 && uv.y >= 0 && uv.y < 1)) return std::nullopt;
-  return glm::min(glm::ivec2(uv * static_cast<float>(grid.size)), grid.size - 1);
-}
 
 // What the object takes at a texel, by coefficient, of its first channel.
 void read_deficit(const prt::BakedObject& object, glm::ivec2 texel, int count, float* out) {

@@ -160,12 +160,14 @@ Result<runtime::LightTime> time_updates(const ChartScene& bench,
 
 std::size_t memory_of(const runtime::PreparedScene& scene, std::size_t lights, int map_size) {
   std::size_t bytes = 0;
-  const auto of = [](const prt::Transfer& t) { return t.values.size() * sizeof(t.values[0]); };
   for (const runtime::PreparedObject& o : scene.objects) {
-    bytes += of(o.baked.transfer) + of(o.baked.ground_deficit);
+    const runtime::RelightBases bases(o.baked);
+    const prt::Transfer& deficit = o.baked.ground_deficit;  // its first channel is kept
+    bytes += bases.surface.bytes() + bases.ground.bytes() +
+             deficit.values.size() / static_cast<std::size_t>(deficit.channels) *
+                 sizeof(deficit.values[0]);
     if (lights == 0) continue;
-    bytes +=
-        of(o.baked.reflected) + of(o.baked.ground_reflected) + of_visibility(o.baked.visibility);
+    bytes += of_visibility(o.baked.visibility);
     bytes += lights *
              (static_cast<std::size_t>(map_size) * static_cast<std::size_t>(map_size) +
               o.baked.transfer.points) *

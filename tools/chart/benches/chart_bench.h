@@ -74,7 +74,7 @@ Result<runtime::LightTime> time_updates(const ChartScene& bench,
                                         const lighting::LightEstimate& light,
                                         const runtime::ShadowSampling& sampling);
 
-/// The baked coefficients and the lights' maps, in bytes.
+/// What a pipeline keeps of transfer and visibility, and the lights' maps, in bytes.
 std::size_t memory_of(const runtime::PreparedScene& scene, std::size_t lights, int map_size);
 
 }  // namespace penumbra::tools
