@@ -68,7 +68,7 @@ class TexelRotation {
   }
 
   void apply(float* coefficients) const {
-    float turned[kMaxCoefficients];
+    float turned[kMaxCoefficients] = {};
     const float* entry = entries_.data();
     float* to = turned;
     for (int l = 0; l < bands_; ++l)
@@ -98,7 +98,7 @@ void combine_shadows(const PlacedShadow& first, const PlacedShadow& second, Plan
   const bool turned = std::abs(turn[0].x - 1) > 1e-9;
   const int count = coefficient_count(bands);
   parallel_for(out.y0, out.y1, [&](int y) {
-    float a[kMaxCoefficients], b[kMaxCoefficients];
+    float a[kMaxCoefficients] = {}, b[kMaxCoefficients] = {};
     for (int x = out.x0; x < out.x1; ++x) {
       const glm::vec2 p =
           grid.position({(static_cast<float>(x) + .5f) / static_cast<float>(grid.size),
