@@ -4,10 +4,12 @@
 
 #include <algorithm>
 #include <cstdlib>
+#include <mutex>
 #include <utility>
 
 #include "capture/camera_regions.h"
 #include "core/io/log.h"
+#include "core/threads/queues.h"
 #include "runtime/governor/governor_config.h"
 #include "runtime/pipeline/light_estimation_stage.h"
 #include "runtime/pipeline/runner.h"
@@ -57,11 +59,27 @@ bool any_shows_surroundings(const std::vector<capture::CameraInfo>& cameras) {
 // The stages refer to the times and the scene, which stay where they are.
 struct Pipeline::Impl {
   std::vector<capture::CameraInfo> cameras;
+  PipelineOptions options;
   std::shared_ptr<StageTimes> times;
   std::shared_ptr<const runtime::PreparedScene> scene;
   std::optional<runtime::LightEstimationStage> light;  // none: set_light()
+  std::mutex stage_mutex;  // of `composite` itself, for who moves objects from other threads
   std::unique_ptr<runtime::CompositeStage> composite;
   lighting::LightEstimate estimate;
+  LightWatch watch;
+  Latest<std::shared_ptr<runtime::PreparedScene>> next_scene;
+  Latest<lighting::GovernorConfig> next_governor;
+  std::mutex governor_mutex;
+  lighting::GovernorConfig governor;  // the newest; guarded by governor_mutex
+
+  Result<std::unique_ptr<runtime::CompositeStage>> make_stage(const runtime::PreparedScene& of,
+                                                              Compositor::Surface surface) const {
+    return runtime::CompositeStage::create(cameras, of, surface, *times, options.oversampling,
+                                           options.sampling);
+  }
+  Result<lighting::GovernorConfig> make_governor(const runtime::PreparedScene& of) const;
+  // On the compositing thread.
+  runtime::CompositeStage* take_next_scene();
 
   // A frame of a camera that the pipeline was made for; its size is the stages' business.
   Result<void> check(const capture::Frame& frame) const {
@@ -83,6 +101,34 @@ struct Pipeline::Impl {
     return fail(ErrorCode::kInvalid, "source", "has other cameras than the pipeline");
   }
 };
+
+Result<lighting::GovernorConfig> Pipeline::Impl::make_governor(
+    const runtime::PreparedScene& of) const {
+  const auto costs = !options.measure_costs   ? runtime::CostSource::kFixed
+                     : options.bake.use_cache ? runtime::CostSource::kKept
+                                              : runtime::CostSource::kFitted;
+  return runtime::make_governor_config(
+      of, {options.max_shadow_error, options.bands, options.max_lights}, costs);
+}
+
+runtime::CompositeStage* Pipeline::Impl::take_next_scene() {
+  const auto next = next_scene.take();
+  if (!next) return nullptr;
+  auto stage = make_stage(**next, Compositor::Surface::kOffscreen);
+  if (!stage) {
+    log_warning("the scene stays as it was: {} {}", stage.error().where, stage.error().detail);
+    return nullptr;
+  }
+  runtime::drop_coefficients(**next);
+  (*stage)->moves().go_on_from(composite->moves());
+  {
+    const std::scoped_lock lock(stage_mutex);
+    std::swap(composite, *stage);
+  }
+  stage->reset();  // refers to the scene before
+  scene = *next;
+  return composite.get();
+}
 
 Pipeline::Pipeline(std::unique_ptr<Impl> impl) : impl_(std::move(impl)) {}
 Pipeline::~Pipeline() = default;
@@ -118,23 +164,19 @@ Result<Pipeline> Pipeline::create(const std::vector<capture::CameraInfo>& camera
     if (!o.animation && o.baked.transfer.points > 0 && o.baked.transfer.values.empty())
       return fail(ErrorCode::kInvalid, o.name, "keeps no transfer: another pipeline loaded it");
   impl->cameras = cameras;
+  impl->options = options;
   impl->scene = std::move(scene);
   impl->times = options.timings ? options.timings : std::make_shared<StageTimes>();
   if (any_shows_surroundings(cameras)) {
     PENUMBRA_ASSIGN(light, runtime::LightEstimationStage::create(
                                cameras, estimate_options(options, *impl->scene), *impl->times));
-    const auto costs = !options.measure_costs   ? runtime::CostSource::kFixed
-                       : options.bake.use_cache ? runtime::CostSource::kKept
-                                                : runtime::CostSource::kFitted;
-    const lighting::Governor::Limits limits{options.max_shadow_error, options.bands,
-                                            options.max_lights};
-    PENUMBRA_ASSIGN(config, runtime::make_governor_config(*impl->scene, limits, costs));
+    PENUMBRA_ASSIGN(config, impl->make_governor(*impl->scene));
+    impl->governor = config;
     light.set_governor(config);
     impl->light.emplace(std::move(light));
   }
   const auto composite_on = [&](Compositor::Surface surface) {
-    return runtime::CompositeStage::create(cameras, *impl->scene, surface, *impl->times,
-                                           options.oversampling, options.sampling);
+    return impl->make_stage(*impl->scene, surface);
   };
   if (options.window && has_display()) {
     if (auto windowed = composite_on(Compositor::Surface::kWindow))
@@ -157,6 +199,7 @@ bool Pipeline::shows_surroundings(int camera) const {
 
 Result<bool> Pipeline::add_environment(const capture::Frame& frame) {
   if (!impl_->light) return std::unexpected(no_environment_camera());
+  if (const auto governor = impl_->next_governor.take()) impl_->light->set_governor(*governor);
   PENUMBRA_TRY(impl_->check(frame));
   if (!impl_->light->takes(frame.camera))
     return fail(ErrorCode::kInvalid, "frame",
@@ -174,6 +217,7 @@ void Pipeline::set_light(const lighting::LightEstimate& light) {
 
 Result<runtime::Composited> Pipeline::composite(const capture::Frame& view) {
   PENUMBRA_TRY(impl_->check(view));
+  (void)impl_->take_next_scene();
   if (impl_->cameras[static_cast<std::size_t>(view.camera)].role != capture::Role::kView)
     return fail(ErrorCode::kInvalid, "frame", "does not belong to a view camera");
   runtime::Composited out;
@@ -197,20 +241,64 @@ Result<runtime::Composited> Pipeline::composite(const capture::Frame& view) {
 }
 
 Result<void> Pipeline::move_object(std::string_view object, const runtime::ObjectPlace& place) {
+  const std::scoped_lock lock(impl_->stage_mutex);
   return impl_->composite->moves().put(object, place);
 }
 
 Result<void> Pipeline::show_object(std::string_view object, bool visible) {
+  const std::scoped_lock lock(impl_->stage_mutex);
   return impl_->composite->moves().show(object, visible);
 }
 
 Result<void> Pipeline::play_object(std::string_view object,
                                    const runtime::ObjectPlayback& playback) {
+  const std::scoped_lock lock(impl_->stage_mutex);
   return impl_->composite->moves().play(object, playback);
 }
 
 Result<void> Pipeline::follow(const runtime::ObjectTrack& track) {
+  const std::scoped_lock lock(impl_->stage_mutex);
   return impl_->composite->moves().follow(track);
+}
+
+std::vector<runtime::ObjectState> Pipeline::objects() const {
+  const std::scoped_lock lock(impl_->stage_mutex);
+  return impl_->composite->moves().states();
+}
+
+Result<void> Pipeline::change_scene(runtime::PreparedScene scene) {
+  {
+    const std::scoped_lock lock(impl_->stage_mutex);
+    if (impl_->composite->output().has_window())
+      return fail(ErrorCode::kUnavailable, "scene", "cannot change in a pipeline with a window");
+  }
+  if (impl_->light) {
+    PENUMBRA_ASSIGN(config, impl_->make_governor(scene));
+    const std::scoped_lock lock(impl_->governor_mutex);
+    config.limits.max_error = impl_->governor.limits.max_error;
+    impl_->governor = config;
+    impl_->next_governor.put(config);
+  }
+  impl_->next_scene.put(std::make_shared<runtime::PreparedScene>(std::move(scene)));
+  return {};
+}
+
+Result<void> Pipeline::set_max_shadow_error(double error) {
+  if (!(error > 0 && error <= 1))
+    return fail(ErrorCode::kInvalid, "max_shadow_error", "is not above 0 and at most 1");
+  const std::scoped_lock lock(impl_->governor_mutex);
+  impl_->governor.limits.max_error = error;
+  impl_->next_governor.put(impl_->governor);
+  return {};
+}
+
+double Pipeline::max_shadow_error() const {
+  const std::scoped_lock lock(impl_->governor_mutex);
+  return impl_->governor.limits.max_error;
+}
+
+void Pipeline::watch_light(LightWatch watch) {
+  impl_->watch = std::move(watch);
 }
 
 Result<runtime::RunCounts> Pipeline::replay(capture::FrameSource& source,
@@ -226,7 +314,16 @@ Result<runtime::RunCounts> Pipeline::run_live(capture::FrameSource& source,
                                               const runtime::Sink& sink,
                                               const std::atomic<bool>& stop) {
   PENUMBRA_TRY(impl_->check(source));
-  return runtime::run_live(source, *impl_->light, *impl_->composite, sink, *impl_->times, stop);
+  runtime::LiveChanges changes;
+  changes.stage_waits = [this] { return impl_->next_scene.waiting(); };
+  changes.take_stage = [this] { return impl_->take_next_scene(); };
+  changes.take_governor = [this] { return impl_->next_governor.take(); };
+  if (impl_->watch)
+    changes.on_light = [this](const auto& stage, const auto& light) {
+      impl_->watch(stage.environment(), light);
+    };
+  return runtime::run_live(source, *impl_->light, *impl_->composite, sink, *impl_->times, stop,
+                           changes);
 }
 
 const lighting::LightEstimate& Pipeline::light() const {

@@ -12,6 +12,7 @@
 #include <vector>
 
 #include "capture/frames.h"
+#include "core/environment.h"
 #include "core/result.h"
 #include "core/threads/stage_times.h"
 #include "lighting/governor.h"
@@ -104,6 +105,28 @@ class Pipeline {
   Result<void> play_object(std::string_view object, const runtime::ObjectPlayback& playback);
   /// As move_object() over time, by the times of the view frames.
   Result<void> follow(const runtime::ObjectTrack& track);
+  /// The scene's objects as they are now.
+  /// threads: any, also during a run
+  std::vector<runtime::ObjectState> objects() const;
+  /// Another scene in the place of this one, from one of the next frames on: objects are added,
+  /// taken away, or baked more finely. Those that stay, by name, stay where they are and go on with
+  /// what they do, and so does the light. The frame that takes it up comes later by what making it
+  /// takes (docs/results.md). Of two that come between two frames the newer one counts.
+  /// in: loaded by runtime::prepare and no other pipeline's; the sun is that of the first scene
+  /// threads: any, also during a run
+  /// errors: kUnavailable (a pipeline with a window keeps its scene); what fails as it is taken up
+  ///         goes to the log, and the scene before it stays
+  Result<void> change_scene(runtime::PreparedScene scene);
+
+  /// The error that the governor keeps to, from the next light on.
+  /// threads: any, also during a run
+  /// errors: kInvalid (not above 0 and at most 1)
+  Result<void> set_max_shadow_error(double error);
+  double max_shadow_error() const;
+  /// Is given each light of a live run and the map that it comes from, on the light's own thread,
+  /// which waits for it. Set before the run.
+  using LightWatch = std::function<void(const Environment&, const lighting::LightEstimate&)>;
+  void watch_light(LightWatch watch);
 
   /// All frames of a source in order of time on this thread: with a new pipeline the same input
   /// gives the same bytes. light() stays as it was before.
@@ -125,6 +148,7 @@ class Pipeline {
   StageTimes& timings();
   /// Of one that the pipeline has loaded itself still objects keep no transfer, which the pipeline
   /// holds in another form.
+  /// threads: not during a run that changes it
   const runtime::PreparedScene& scene() const;
   /// What draws; it shows pictures where has_window().
   compositor::Compositor& output();

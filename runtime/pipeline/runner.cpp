@@ -257,7 +257,7 @@ void produce(Live& live, capture::FrameSource& source, const LightEstimationStag
   }
 }
 
-void measure(Live& live, LightEstimationStage& light) noexcept {
+void measure(Live& live, LightEstimationStage& light, const LiveChanges& changes) noexcept {
   try {
     // Until the bracket is whole, or nothing more comes
     std::optional<lighting::LightEstimate> held;
@@ -269,10 +269,13 @@ void measure(Live& live, LightEstimationStage& light) noexcept {
         continue;
       }
       if (const auto recoveries = live.recoveries.take()) light.add_recoveries(*recoveries);
+      if (changes.take_governor)
+        if (const auto governor = changes.take_governor()) light.set_governor(*governor);
       light.allow_lights(live.affordable_lights);
       auto estimate = light.process(*frame);
       if (estimate) {
         held.reset();
+        if (changes.on_light) changes.on_light(light, *estimate);
         light.ready() ? live.light.put(std::move(*estimate)) : void(held = std::move(*estimate));
       } else if (is_ordinary(estimate.error())) {
         const std::scoped_lock lock(live.mutex);
@@ -292,8 +295,15 @@ void measure(Live& live, LightEstimationStage& light) noexcept {
 class LiveFrames {
  public:
   LiveFrames(CompositeStage& compose, const Sink& sink, RunCounts& counts)
-      : compose_(compose), sink_(sink), counts_(counts) {}
+      : compose_(&compose), sink_(sink), counts_(counts) {}
 
+  /// in: the last frame of the one before is finished
+  void go_on_with(CompositeStage& compose) {
+    compose_ = &compose;
+    compose.warm_up();
+    compose.keep_time();
+  }
+  CompositeStage& stage() { return *compose_; }
   bool go_on() const { return go_on_; }
   /// The last add() took so long, without the sink.
   double busy_ms() const { return busy_ms_; }
@@ -315,7 +325,7 @@ class LiveFrames {
     now.light = light;
     // The loops in there must not take up the other frame's end, which what is traced live would
     // count as its own time.
-    const auto begun = isolate([&] { return compose_.draw(frame, light, now.begun); });
+    const auto begun = isolate([&] { return compose_->draw(frame, light, now.begun); });
     finish_last();
     if (!begun) return begun;
     if (!go_on_) return {};
@@ -352,7 +362,7 @@ class LiveFrames {
     in_sink_ms_ += watch.ms();
   }
 
-  CompositeStage& compose_;
+  CompositeStage* compose_;
   const Sink& sink_;
   RunCounts& counts_;
   bool go_on_ = true;
@@ -377,16 +387,16 @@ void update_frame_budget(FrameBudget& budget, double busy_ms, const lighting::Li
 
 Result<RunCounts> run_live(capture::FrameSource& source, LightEstimationStage& light,
                            CompositeStage& compose, const Sink& sink, StageTimes& times,
-                           const std::atomic<bool>& stop) {
+                           const std::atomic<bool>& stop, const LiveChanges& changes) {
   Live live;
   RunCounts counts;
   Result<void> composed;
-  compose.warm_up();
-  compose.keep_time();
+  LiveFrames frames(compose, sink, counts);
+  frames.go_on_with(compose);
   const auto start = Clock::now();
   {
     const std::jthread producer([&] { produce(live, source, light, times, stop); });
-    const std::jthread measurer([&] { measure(live, light); });
+    const std::jthread measurer([&] { measure(live, light, changes); });
     // Also when something throws here: the threads are released before they are joined.
     const auto close_all = [&](Live* l) {
       source.close();
@@ -395,9 +405,9 @@ Result<RunCounts> run_live(capture::FrameSource& source, LightEstimationStage& l
     const std::unique_ptr<Live, decltype(close_all)> release(&live, close_all);
     lighting::LightEstimate estimate;
     FrameBudget budget(period_ms(source));
-    LiveFrames frames(compose, sink, counts);
     const auto recover = [&](const capture::Frame& view) {
-      if (auto found = compose.recover_lights(view, estimate, darker_of(source, view.camera));
+      if (auto found =
+              frames.stage().recover_lights(view, estimate, darker_of(source, view.camera));
           !found.empty())
         live.recoveries.put(std::move(found));
     };
@@ -408,6 +418,10 @@ Result<RunCounts> run_live(capture::FrameSource& source, LightEstimationStage& l
         continue;
       }
       counts.overtaken = live.overtaken();
+      if (changes.stage_waits && changes.stage_waits()) {
+        frames.finish_last();
+        if (CompositeStage* const newer = changes.take_stage()) frames.go_on_with(*newer);
+      }
       if (auto newer = live.light.take()) estimate = std::move(*newer);
       if (const auto darker = live.for_light.take()) recover(*darker);
       recover(*frame);

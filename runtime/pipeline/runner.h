@@ -2,16 +2,31 @@
 #pragma once
 
 #include <atomic>
+#include <functional>
+#include <optional>
 
 #include "capture/frames.h"
 #include "core/result.h"
 #include "core/threads/stage_times.h"
+#include "lighting/governor.h"
+#include "lighting/light_estimate.h"
 #include "runtime/pipeline/runs.h"
 
 namespace penumbra::runtime {
 
 class CompositeStage;
 class LightEstimationStage;
+
+/// What others may change and watch while a live run goes on. Each may be empty.
+struct LiveChanges {
+  // On the compositing thread, before each frame; the second only after the first said so. What was
+  // drawn with the stage before has been handed out by then.
+  std::function<bool()> stage_waits;
+  std::function<CompositeStage*()> take_stage;  // null: the one before goes on
+  // On the light's thread, before and after each environment frame
+  std::function<std::optional<lighting::GovernorConfig>()> take_governor;
+  std::function<void(const LightEstimationStage&, const lighting::LightEstimate&)> on_light;
+};
 
 /// Every frame in order of time on this thread: the same input gives the same bytes.
 /// errors: what the source and the stages say; kUndetermined when no environment frame ever gave
@@ -25,6 +40,6 @@ Result<RunCounts> run_replay(capture::FrameSource& source, LightEstimationStage&
 /// there is time (FrameBudget). Stops when the source ends, the sink says so, or `stop` is set.
 Result<RunCounts> run_live(capture::FrameSource& source, LightEstimationStage& light,
                            CompositeStage& compose, const Sink& sink, StageTimes& times,
-                           const std::atomic<bool>& stop);
+                           const std::atomic<bool>& stop, const LiveChanges& changes = {});
 
 }  // namespace penumbra::runtime

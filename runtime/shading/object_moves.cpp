@@ -14,6 +14,7 @@
 #include "core/conventions.h"
 #include "core/io/files.h"
 #include "core/io/spelling.h"
+#include "prt/geometry/mesh.h"
 
 namespace penumbra::runtime {
 
@@ -98,9 +99,12 @@ Result<ObjectTrack> read_object_track(const std::filesystem::path& path) {
 
 ObjectMoves::ObjectMoves(const PreparedScene& scene)
     : scene_(scene), places_(scene.objects.size()), playing_(scene.objects.size()) {
-  for (const PreparedObject& o : scene.objects)
+  for (const PreparedObject& o : scene.objects) {
+    const prt::Bounds b = prt::bounds_of(o.baked.mesh);
     resting_.push_back({o.name, o.world_from_bake, o.baked.receiver.has_value(),
-                        o.animation || o.spin_rpm != 0, o.animation && o.animation->blend});
+                        o.animation || o.spin_rpm != 0, o.animation && o.animation->blend,
+                        glm::dvec3(b.centre()), double(glm::length(b.high - b.low)) / 2});
+  }
   for (const PreparedObject& o : scene.objects) visible_.push_back(o.visible);
 }
 
@@ -214,6 +218,7 @@ const ObjectMoves::Playing& ObjectMoves::play_on(std::size_t object, double seco
 ObjectMoves::ObjectNow ObjectMoves::at(std::size_t object, double seconds) {
   constexpr double kOutOfTheWorld_m = 1e5;
   const std::scoped_lock lock(mutex_);
+  now_s_ = seconds;
   const Playing& playing = play_on(object, seconds);
   const double clip_time_s = playing.clip_time_at(seconds);
   if (visible_[object])
@@ -229,16 +234,71 @@ ObjectMoves::ObjectNow ObjectMoves::at(std::size_t object, double seconds) {
       playing.blend_weight};
 }
 
+// In the lock; in: it has places.
+ObjectPlace ObjectMoves::place_at(std::size_t object, double seconds) const {
+  const std::vector<TimedPlace>& places = places_[object];
+  const auto next = std::ranges::upper_bound(places, seconds, {}, &TimedPlace::time_s);
+  if (next == places.begin()) return next->place;
+  const auto last = next - 1;
+  if (next == places.end()) return last->place;
+  const double fraction = (seconds - last->time_s) / (next->time_s - last->time_s);
+  return between(last->place, next->place, fraction);
+}
+
 // In the lock.
 Pose ObjectMoves::placed(std::size_t object, double seconds, double turntable_s) const {
-  const std::vector<TimedPlace>& places = places_[object];
-  if (places.empty()) return scene_.objects[object].pose_at(turntable_s);
-  const auto next = std::ranges::upper_bound(places, seconds, {}, &TimedPlace::time_s);
-  if (next == places.begin()) return pose_at(object, next->place, turntable_s);
-  const auto last = next - 1;
-  if (next == places.end()) return pose_at(object, last->place, turntable_s);
-  const double fraction = (seconds - last->time_s) / (next->time_s - last->time_s);
-  return pose_at(object, between(last->place, next->place, fraction), turntable_s);
+  if (places_[object].empty()) return scene_.objects[object].pose_at(turntable_s);
+  return pose_at(object, place_at(object, seconds), turntable_s);
+}
+
+std::vector<ObjectState> ObjectMoves::states() const {
+  const std::scoped_lock lock(mutex_);
+  std::vector<ObjectState> out;
+  for (std::size_t i = 0; i < resting_.size(); ++i) {
+    const Resting& o = resting_[i];
+    ObjectState now;
+    now.name = o.name;
+    now.place =
+        places_[i].empty() ? ObjectPlace{o.world_from_bake.translation, 0} : place_at(i, now_s_);
+    now.visible = visible_[i] != 0;
+    now.plays = o.plays;
+    now.rest_position_m = o.world_from_bake.translation;
+    now.normal = o.world_from_bake.rotation * glm::dvec3(0, 1, 0);
+    now.world_from_bake = placed(i, now_s_, playing_[i].clip_time_at(now_s_));
+    now.centre_m = now.world_from_bake * o.centre_m;
+    now.radius_m = o.radius_m;
+    out.push_back(std::move(now));
+  }
+  return out;
+}
+
+// The same pose in the world, as a place of an object that rests otherwise than before; nothing
+// where that stands on another plane.
+std::optional<ObjectPlace> ObjectMoves::carried(std::size_t object, const Resting& before,
+                                                ObjectPlace place) const {
+  constexpr double kSame = 1e-6;
+  const Resting& o = resting_[object];
+  const glm::dquat turn =
+      glm::normalize(glm::conjugate(o.world_from_bake.rotation) * before.world_from_bake.rotation);
+  if (std::abs(turn.x) > kSame || std::abs(turn.z) > kSame) return std::nullopt;
+  place.turn_rad += 2 * std::atan2(turn.y, turn.w);
+  return check(object, place) ? std::optional(place) : std::nullopt;
+}
+
+void ObjectMoves::go_on_from(const ObjectMoves& before) {
+  const std::scoped_lock lock(mutex_, before.mutex_);
+  now_s_ = before.now_s_;
+  for (std::size_t i = 0; i < resting_.size(); ++i) {
+    const auto found = std::ranges::find(before.resting_, resting_[i].name, &Resting::name);
+    if (found == before.resting_.end()) continue;
+    const auto was = static_cast<std::size_t>(found - before.resting_.begin());
+    visible_[i] = before.visible_[was];
+    if (resting_[i].plays && found->plays) playing_[i] = before.playing_[was];
+    std::vector<TimedPlace> places;
+    for (const TimedPlace& p : before.places_[was])
+      if (const auto place = carried(i, *found, p.place)) places.push_back({p.time_s, *place});
+    if (places.size() == before.places_[was].size()) places_[i] = std::move(places);
+  }
 }
 
 }  // namespace penumbra::runtime

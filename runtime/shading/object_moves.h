@@ -32,6 +32,19 @@ struct ObjectPlayback {
   std::optional<double> blend_weight{};  // 0..1 of a second clip
 };
 
+/// An object as it is now, for who shows and moves it.
+struct ObjectState {
+  std::string name;
+  ObjectPlace place;
+  bool visible = true;
+  bool plays = false;             // a clip or a turntable
+  glm::dvec3 rest_position_m{0};  // where its scene has it
+  glm::dvec3 normal{0, 1, 0};     // of the plane that it stands on
+  Pose world_from_bake;           // with its turntable's turn
+  glm::dvec3 centre_m{0};         // of a sphere around it
+  double radius_m = 0;
+};
+
 /// Places over time of some objects; between two of an object's it glides and turns evenly, before
 /// the first and after the last it rests there.
 struct ObjectTrack {
@@ -75,6 +88,11 @@ class ObjectMoves {
   };
   /// A playback that was asked for begins with the first time it is asked after.
   ObjectNow at(std::size_t object, double seconds);
+  /// As at() last gave them, with what was asked for since.
+  std::vector<ObjectState> states() const;
+  /// Objects that were there before, by name, stay where they are and go on with what they do.
+  /// One that stands on another plane now begins as its own scene has it.
+  void go_on_from(const ObjectMoves& before);
 
  private:
   struct TimedPlace {
@@ -87,6 +105,8 @@ class ObjectMoves {
     Pose world_from_bake;
     bool on_plane;
     bool plays, blends;
+    glm::dvec3 centre_m;  // in the bake frame
+    double radius_m;
   };
   struct Playing {
     double since_s = 0, from_s = 0, speed = 1;  // at since_s it was at from_s
@@ -98,6 +118,9 @@ class ObjectMoves {
   Result<void> check(std::size_t object, const ObjectPlace& place) const;
   Pose pose_at(std::size_t object, const ObjectPlace& place, double turntable_s) const;
   Pose placed(std::size_t object, double seconds, double turntable_s) const;
+  ObjectPlace place_at(std::size_t object, double seconds) const;
+  std::optional<ObjectPlace> carried(std::size_t object, const Resting& before,
+                                     ObjectPlace place) const;
   const Playing& play_on(std::size_t object, double seconds);
   const PreparedScene& scene_;
   std::vector<Resting> resting_;
@@ -105,6 +128,7 @@ class ObjectMoves {
   std::vector<std::vector<TimedPlace>> places_;  // by object; empty: as the scene has it
   std::vector<char> visible_;                    // by object
   std::vector<Playing> playing_;                 // by object
+  double now_s_ = 0;                             // that at() was last asked for
 };
 
 }  // namespace penumbra::runtime

@@ -2,7 +2,10 @@
 
 #include <gtest/gtest.h>
 
+#include <atomic>
 #include <cmath>
+#include <initializer_list>
+#include <utility>
 
 #include "calib/calib.h"
 #include "capture/capture.h"
@@ -190,6 +193,100 @@ TEST(Pipeline, WhatItLoadsItKeepsInATenthOfTheRoom) {
                        std::make_shared<const runtime::PreparedScene>(loaded->scene()), options);
   ASSERT_FALSE(again);
   EXPECT_EQ(again.error().where, "left");
+}
+
+// The bench's sphere by another name, so far to the right.
+runtime::PreparedScene spheres(std::initializer_list<std::pair<const char*, double>> places) {
+  runtime::PreparedScene out = *bench().scene;
+  const runtime::PreparedObject sphere = out.objects[0];
+  out.objects.clear();
+  for (const auto& [name, x] : places) {
+    out.objects.push_back(sphere);
+    out.objects.back().name = name;
+    out.objects.back().world_from_bake.translation = {x, 0, 0};
+  }
+  return out;
+}
+
+TEST(Pipeline, AChangedSceneIsDrawnAsIfItHadBeenThereAndWhatStaysStaysPut) {
+  auto pipeline = Pipeline::create(view_camera_alone(), runtime::Scene{});
+  PENUMBRA_NEED_GL(pipeline);
+  const lighting::LightEstimate light =
+      *lighting::estimate_map(capture::make_sky_environment(128, 64, .8), {});
+  capture::Frame frame = view_frame();
+  frame.camera = 0;
+  const auto drawn_by = [&](Pipeline& p) {
+    p.set_light(light);
+    return (*p.composite(frame)).pixels;
+  };
+  const auto drawn_from_the_start = [&](runtime::PreparedScene scene) {
+    auto p = *Pipeline::create(view_camera_alone(),
+                               std::make_shared<runtime::PreparedScene>(std::move(scene)));
+    return drawn_by(p);
+  };
+  EXPECT_TRUE(drawn_by(*pipeline) == *frame.pixels);
+  EXPECT_TRUE(pipeline->objects().empty());
+
+  ASSERT_TRUE(pipeline->change_scene(spheres({{"first", 0}})));
+  EXPECT_TRUE(drawn_by(*pipeline) == drawn_from_the_start(spheres({{"first", 0}})));
+  ASSERT_EQ(pipeline->objects().size(), 1u);
+
+  // It was moved by then, and so the scene's own place for it does not count.
+  ASSERT_TRUE(pipeline->move_object("first", {{-.3, 0, 0}, .5}));
+  ASSERT_TRUE(pipeline->change_scene(spheres({{"second", .3}, {"first", 0}})));
+  const FramePixels both = drawn_by(*pipeline);
+  auto expected = *Pipeline::create(
+      view_camera_alone(),
+      std::make_shared<runtime::PreparedScene>(spheres({{"second", .3}, {"first", 0}})));
+  ASSERT_TRUE(expected.move_object("first", {{-.3, 0, 0}, .5}));
+  EXPECT_TRUE(both == drawn_by(expected));
+  const std::vector<runtime::ObjectState> now = pipeline->objects();
+  ASSERT_EQ(now.size(), 2u);
+  EXPECT_EQ(now[0].name, "second");
+  EXPECT_NEAR(now[1].place.position_m.x, -.3, 1e-12);
+  EXPECT_NEAR(now[1].place.turn_rad, .5, 1e-12);
+  EXPECT_NEAR(now[1].rest_position_m.x, 0, 1e-12);
+  EXPECT_NEAR(now[1].centre_m.y, .2, 1e-6);
+
+  ASSERT_TRUE(pipeline->change_scene({}));
+  EXPECT_TRUE(drawn_by(*pipeline) == *frame.pixels);
+  EXPECT_EQ(pipeline->move_object("first", {}).error().code, ErrorCode::kNotFound);
+}
+
+// On threads: the run goes on, with its light, while the scene changes under it.
+TEST(Pipeline, ALiveRunTakesUpAChangedSceneAndABudget) {
+  capture::StudioOptions options = bench().options;
+  options.view_frames = 400;
+  options.view_fps = 100;
+  capture::Studio studio(bench().world, options);
+  auto made = Pipeline::create(studio.cameras(), runtime::Scene{});
+  PENUMBRA_NEED_GL(made);
+  Pipeline& pipeline = *made;
+  EXPECT_EQ(pipeline.max_shadow_error(), .05);
+  std::atomic<int> maps = 0;
+  pipeline.watch_light([&](const Environment& map, const lighting::LightEstimate& light) {
+    EXPECT_TRUE(light.valid);
+    EXPECT_GT(map.radiance.width(), 0);
+    ++maps;
+  });
+  int lit = 0, changed = 0, shown_after = 0;
+  const auto sink = [&](const runtime::Output& out) {
+    lit += out.light.valid;
+    const bool touched = !(*out.pixels == *out.source.pixels);
+    shown_after += touched;
+    if (lit == 3 && changed == 0) {
+      changed = 1;
+      EXPECT_TRUE(pipeline.change_scene(*bench().scene));
+      EXPECT_TRUE(pipeline.set_max_shadow_error(.2));
+      EXPECT_FALSE(pipeline.set_max_shadow_error(0));
+    }
+    return shown_after < 3;
+  };
+  const auto counts = pipeline.run_live(studio, sink, std::atomic<bool>(false));
+  ASSERT_TRUE(counts) << counts.error().detail;
+  EXPECT_EQ(shown_after, 3);
+  EXPECT_GT(maps, 0);
+  EXPECT_EQ(pipeline.max_shadow_error(), .2);
 }
 
 TEST(Pipeline, WithoutACameraThatShowsTheSurroundingsOnlySetLightGivesLight) {
