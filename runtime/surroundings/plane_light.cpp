@@ -5,6 +5,7 @@
 #include <utility>
 
 #include "core/conventions.h"
+#include "runtime/surroundings/real_point.h"
 
 namespace penumbra::runtime {
 
