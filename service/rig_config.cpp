@@ -1,12 +1,14 @@
 #include "service/rig_config.h"
 
 #include <algorithm>
+#include <cctype>
 
 #include "capture/camera_regions.h"
 #include "capture/frames.h"
 #include "core/conventions.h"
+#include "core/io/files.h"
 #include "core/io/toml_keys.h"
-#include "service/internal/loopback.h"
+#include "service/http/loopback.h"
 
 namespace penumbra::service {
 namespace fs = std::filesystem;
@@ -82,15 +84,62 @@ Result<void> read_capture(const TomlKeys& keys, const fs::path& folder, RigConfi
   return read_integer(keys, "height", 64, 8192, c.height);
 }
 
-Result<void> read_http(const TomlKeys& keys, RigConfig& c) {
+// A file of one line, of which strangers must not know.
+Result<std::string> read_token(const TomlKeys& keys, const fs::path& file) {
+  constexpr std::size_t kShortest = 16, kLongest = 256;
+  PENUMBRA_ASSIGN(token, read_text(file, 4096));
+  while (!token.empty() && std::isspace(static_cast<unsigned char>(token.back()))) token.pop_back();
+  const auto plain = [](unsigned char c) { return std::isalnum(c) || c == '-' || c == '_'; };
+  if (token.size() < kShortest || token.size() > kLongest || !std::ranges::all_of(token, plain))
+    return keys.invalid("token_file",
+                        "does not hold a token of 16 to 256 letters, digits, '-' and '_'");
+  return token;
+}
+
+Result<void> read_origins(const TomlKeys& keys, const toml::table& table, RigConfig& c) {
+  const toml::array* const list = table["origins"].as_array();
+  if (!list) return keys.invalid("origins", "is not a list of texts");
+  for (const toml::node& item : *list) {
+    const auto origin = item.value<std::string>();
+    if (!origin || !(origin->starts_with("http://") || origin->starts_with("https://")))
+      return keys.invalid("origins", "holds what is no http:// or https:// origin");
+    c.origins.push_back(*origin);
+  }
+  return {};
+}
+
+// Nothing where the key is not there; empty stays empty.
+Result<void> read_optional_path(const TomlKeys& keys, std::string_view key, const fs::path& folder,
+                                std::optional<fs::path>& out) {
+  if (!keys.has(key)) return {};
+  PENUMBRA_ASSIGN(text, keys.text(key));
+  out = text.empty() ? fs::path() : fs::path(resolve(text, folder));
+  return {};
+}
+
+Result<void> read_http(const TomlKeys& keys, const toml::table& table, const fs::path& folder,
+                       RigConfig& c) {
+  PENUMBRA_TRY(read_optional_path(keys, "socket", folder, c.socket));
+  if (keys.has("token_file")) {
+    PENUMBRA_ASSIGN(name, keys.text("token_file"));
+    PENUMBRA_ASSIGN(token, read_token(keys, resolve(name, folder)));
+    c.token = token;
+  }
+  if (keys.has("origins")) PENUMBRA_TRY(read_origins(keys, table, c));
   if (keys.has("address")) {
     PENUMBRA_ASSIGN(address, keys.text("address"));
     // Strangers must not see through the user's cameras.
-    if (!is_loopback(address))
-      return keys.invalid("address", "\"" + address + "\" is not a loopback address");
+    if (!is_loopback(address) && c.token.empty())
+      return keys.invalid(
+          "address", "\"" + address + "\" is not a loopback address: others need a token_file");
     c.address = address;
+    if (!keys.has("port")) return keys.invalid("address", "needs a port beside it");
   }
-  return read_integer(keys, "port", 0, 65535, c.port);
+  if (!keys.has("port")) return {};
+  int port = 0;
+  PENUMBRA_TRY(read_integer(keys, "port", 0, 65535, port));
+  c.port = port;
+  return {};
 }
 
 }  // namespace
@@ -98,7 +147,8 @@ Result<void> read_http(const TomlKeys& keys, RigConfig& c) {
 Result<RigConfig> read_rig_config(const fs::path& path, bool to_composite) {
   PENUMBRA_ASSIGN(root, parse_toml(path));
   const TomlKeys keys(path, root);
-  constexpr std::string_view known[] = {"version", "capture", "camera", "scene", "light", "http"};
+  constexpr std::string_view known[] = {"version", "capture", "camera", "scene",
+                                        "light",   "http",    "output"};
   PENUMBRA_TRY(keys.only(known));
   PENUMBRA_TRY(keys.version(1));
   const fs::path folder = path.parent_path();
@@ -111,7 +161,8 @@ Result<RigConfig> read_rig_config(const fs::path& path, bool to_composite) {
   constexpr std::string_view scene_keys[] = {"file"};
   constexpr std::string_view light_keys[] = {"bands", "max_lights", "max_shadow_error",
                                              "stale_after_s"};
-  constexpr std::string_view http_keys[] = {"address", "port"};
+  constexpr std::string_view http_keys[] = {"socket", "address", "port", "token_file", "origins"};
+  constexpr std::string_view output_keys[] = {"recordings", "light_page"};
   const auto capture = [&](const TomlKeys& k) { return read_capture(k, folder, c); };
   const auto scene = [&](const TomlKeys& k) { return read_path(k, "file", folder, c.scene); };
   const auto light = [&](const TomlKeys& k) -> Result<void> {
@@ -120,11 +171,22 @@ Result<RigConfig> read_rig_config(const fs::path& path, bool to_composite) {
     PENUMBRA_TRY(read_number(k, "max_shadow_error", .001, 1, c.max_shadow_error));
     return read_number(k, "stale_after_s", 0, 3600, c.stale_after_s);
   };
-  const auto http = [&](const TomlKeys& k) { return read_http(k, c); };
+  const auto http = [&](const TomlKeys& k) {
+    return read_http(k, *root["http"].as_table(), folder, c);
+  };
+  c.recordings = folder / "recordings";
+  const auto output = [&](const TomlKeys& k) -> Result<void> {
+    if (k.has("recordings")) {
+      PENUMBRA_ASSIGN(name, k.text("recordings"));
+      c.recordings = resolve(name, folder);
+    }
+    return read_optional_path(k, "light_page", folder, c.light_page);
+  };
   PENUMBRA_TRY(Section(path, root, keys, "capture").read(capture_keys, capture));
   PENUMBRA_TRY(Section(path, root, keys, "scene").read(scene_keys, scene));
   PENUMBRA_TRY(Section(path, root, keys, "light").read(light_keys, light));
   PENUMBRA_TRY(Section(path, root, keys, "http").read(http_keys, http));
+  PENUMBRA_TRY(Section(path, root, keys, "output").read(output_keys, output));
   if (!to_composite) c.scene.reset();
   if (to_composite && c.source != "studio" && !c.scene)
     return fail(ErrorCode::kInvalid, path.string(),

@@ -24,11 +24,17 @@ struct RigConfig {
   int bands = 5, max_lights = 8;           // at most
   double max_shadow_error = .05;           // RMS error of the shadow ratio
   double stale_after_s = 1;                // light older than this is reported as stale
+  // Nothing: in the folder of this user's running programs, where there is one. Empty: none
+  std::optional<std::filesystem::path> socket, light_page;
   std::string address = "127.0.0.1";
-  int port = 8787;  // 0: any free one
+  std::optional<int> port;           // 0: any free one; nothing: no TCP
+  std::string token;                 // of the token's file
+  std::vector<std::string> origins;  // whose pages may read and change
+  std::filesystem::path recordings;  // folder of recordings and snapshots
 };
 
-/// errors: kNotFound, kUnreadable, kInvalid (file, line, key; an address that is not loopback)
+/// errors: kNotFound, kUnreadable, kInvalid (file, line, key; an address that is not loopback,
+/// without a token)
 /// to_composite: with a scene, an environment camera and a view camera; else any cameras do, and a
 /// scene is not looked at.
 Result<RigConfig> read_rig_config(const std::filesystem::path& path, bool to_composite = true);

@@ -3,7 +3,6 @@
 // threads: reentrant
 #pragma once
 
-#include <functional>
 #include <memory>
 #include <string>
 
@@ -11,11 +10,9 @@
 #include "core/result.h"
 #include "runtime/scene/scene.h"
 #include "service/rig_config.h"
+#include "service/scene/scene_keeper.h"
 
 namespace penumbra::service {
-
-/// Makes what is told how far a piece of work, by its name, has come.
-using ProgressOf = std::function<std::function<void(double)>(const std::string&)>;
 
 struct RigSource {
   std::unique_ptr<capture::FrameSource> source;

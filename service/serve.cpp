@@ -3,23 +3,39 @@
 #include <atomic>
 #include <chrono>
 #include <csignal>
+#include <cstdint>
 #include <cstdlib>
+#include <filesystem>
+#include <mutex>
+#include <optional>
+#include <utility>
 
 #include "capture/frames.h"
 #include "core/io/log.h"
 #include "core/threads/stop_signal.h"
 #include "runtime/pipeline/pipeline.h"
-#include "runtime/shading/composite_stage.h"
-#include "service/background_scene.h"
-#include "service/http_api.h"
+#include "service/http/http_api.h"
+#include "service/http/published_state.h"
+#include "service/light_page.h"
+#include "service/recording/live_recording.h"
 #include "service/rig_config.h"
 #include "service/rig_source.h"
-#include "service/scene_control.h"
-#include "service/scene_reload.h"
+#include "service/scene/scene_control.h"
+#include "service/scene/scene_keeper.h"
+#include "service/scene/scene_reload.h"
+#include "service/system_notify.h"
 
 namespace penumbra::service {
 
+namespace fs = std::filesystem;
+
 namespace {
+
+constexpr std::int64_t kStuck_ns = 30'000'000'000;  // no frame and no wait for one takes so long
+
+std::int64_t now_ns() {
+  return std::chrono::steady_clock::now().time_since_epoch().count();
+}
 
 void tell_losses(const std::vector<capture::CameraInfo>& cameras,
                  const std::vector<capture::CameraCounts>& counts) {
@@ -34,10 +50,11 @@ void tell_losses(const std::vector<capture::CameraInfo>& cameras,
 // Clients change the pipeline for as long as it is there.
 class AttachedPipeline {
  public:
-  AttachedPipeline(SceneControl& control, Pipeline& pipeline) : control_(control) {
-    control_.attach(&pipeline);
+  AttachedPipeline(SceneControl& control, Pipeline& pipeline, SceneKeeper& keeper)
+      : control_(control) {
+    control_.attach(&pipeline, &keeper);
   }
-  ~AttachedPipeline() { control_.attach(nullptr); }
+  ~AttachedPipeline() { control_.attach(nullptr, nullptr); }
   AttachedPipeline(const AttachedPipeline&) = delete;
   AttachedPipeline& operator=(const AttachedPipeline&) = delete;
 
@@ -52,129 +69,210 @@ extern "C" void on_reload(int) {
   g_reload = true;
 }
 
-// Of what the scene file says now, as far as a running pipeline can follow.
-void reload(const RigConfig& config, const runtime::Scene& at_first, runtime::Scene& last,
-            SceneControl& objects) {
-  if (!config.scene) return log_info("reload: the studio's own scene has no file");
-  const auto now = runtime::read_scene(*config.scene);
-  if (!now)
-    return log_warning("reload: the scene stays as it is: {}: {}", now.error().where,
-                       now.error().detail);
-  apply_scene(at_first, last, *now, objects);
-  last = *now;
-  log_info("reload: {} is read anew", *config.scene);
+// The folder of this user's, or this system service's, running programs.
+std::optional<fs::path> runtime_folder() {
+  if (const char* own = std::getenv("RUNTIME_DIRECTORY"); own && *own) return fs::path(own);
+  if (const char* user = std::getenv("XDG_RUNTIME_DIR"); user && *user)
+    return fs::path(user) / "penumbra";
+  return std::nullopt;
+}
+
+// Where one was not asked for another service may have it.
+template <class Make>
+auto make_at(const std::optional<fs::path>& asked, const char* usual, Make make)
+    -> decltype(make(fs::path())) {
+  const auto folder = runtime_folder();
+  const fs::path path = asked ? *asked : folder ? *folder / usual : fs::path();
+  if (path.empty()) return {};
+  auto made = make(path);
+  if (made || asked) return made;
+  log_warning("{}: {}: this service goes without it", made.error().where, made.error().detail);
+  return {};
+}
+
+HttpOptions http_options(const RigConfig& c) {
+  HttpOptions out;
+  out.address = c.address;
+  out.port = c.port;
+  out.token = c.token;
+  out.origins = c.origins;
+  out.stale_after_s = c.stale_after_s;
+  if (c.scene) out.assets = fs::absolute(*c.scene).parent_path();
+  return out;
 }
 
 }  // namespace
 
 namespace {
 
-// One after the other: until its objects are baked a scene has none.
+// The camera's picture and the light at once, objects as they are baked.
 class Service {
  public:
   Service(const RigConfig& config, const ProgressOf& progress)
-      : config_(config), progress_([this, progress](const std::string& work) {
+      : config_(config),
+        recording_(config.recordings),
+        progress_([this, progress](const std::string& work) {
           return [this, work, shown = progress(work)](double done) {
             if (shown) shown(done);
             state_.publish_progress(work, done);
           };
-        }) {
-    options_.bands = config.bands;
-    options_.max_lights = config.max_lights;
-    options_.max_shadow_error = config.max_shadow_error;
-    options_.progress = progress_;
-    options_.timings = std::make_shared<StageTimes>();
-  }
+        }) {}
   Result<void> run();
 
  private:
-  Result<void> run_without_objects(const BackgroundScene& scene, const std::atomic<bool>& stop);
-  Result<void> run_with(runtime::PreparedScene scene, const std::atomic<bool>& stop);
-  void publish(const runtime::Output& out) {
-    state_.publish(out.light, out.source.time, out.pixels, out.overtaken);
-    state_.publish_cameras(rig_.source->cameras(), rig_.source->counts());
-  }
+  Result<void> listen();
+  Result<void> compose(capture::FrameSource& source, const std::atomic<bool>& stop);
+  void reload();
+  void publish(const runtime::Output& out, const capture::FrameSource& source,
+               const Pipeline& pipeline);
 
   const RigConfig& config_;
   PublishedState state_;
+  LiveRecording recording_;
   SceneControl objects_;
   ProgressOf progress_;
-  PipelineOptions options_;
+  std::shared_ptr<StageTimes> times_ = std::make_shared<StageTimes>();
+  std::unique_ptr<HttpApi> tcp_, socket_;
+  std::unique_ptr<LightPage> page_;
   RigSource rig_;
+  std::mutex scenes_mutex_;
+  runtime::Scene shown_;      // what the pipeline was last given; guarded by scenes_mutex_
   runtime::Scene scene_now_;  // as its file was last read
 };
 
-// The camera's picture and the light, while objects are baked.
-Result<void> Service::run_without_objects(const BackgroundScene& scene,
-                                          const std::atomic<bool>& stop) {
-  runtime::Scene bare = rig_.scene;
-  bare.objects.clear();
-  PENUMBRA_ASSIGN(pipeline, Pipeline::create(rig_.source->cameras(), bare, options_));
-  const auto sink = [&](const runtime::Output& out) {
-    publish(out);
-    return !scene.is_ready();
+// Of what the scene file says now.
+void Service::reload() {
+  if (!config_.scene) return log_info("reload: the studio's own scene has no file");
+  notify_system("RELOADING=1");
+  const auto now = runtime::read_scene(*config_.scene);
+  if (now) {
+    const runtime::Scene shown = [&] {
+      const std::scoped_lock lock(scenes_mutex_);
+      return shown_;
+    }();
+    if (apply_scene(shown, scene_now_, *now, objects_)) objects_.follow_file(scene_now_, *now);
+    scene_now_ = *now;
+    log_info("reload: {} is read anew", *config_.scene);
+  } else {
+    log_warning("reload: the scene stays as it is: {}: {}", now.error().where, now.error().detail);
+  }
+  notify_system("READY=1");
+}
+
+void Service::publish(const runtime::Output& out, const capture::FrameSource& source,
+                      const Pipeline& pipeline) {
+  state_.publish(out.light, out.source.time, out.pixels, out.overtaken);
+  state_.publish_cameras(source.cameras(), source.counts());
+  if (page_) page_->write(pipeline.objects(), out.source.time);
+}
+
+Result<void> Service::listen() {
+  const HttpSources sources{state_, *times_, objects_, recording_};
+  if (config_.port) {
+    PENUMBRA_ASSIGN(api, HttpApi::start(http_options(config_), sources));
+    tcp_ = std::move(api);
+  }
+  const auto on_socket = [&](const fs::path& path) {
+    HttpOptions options = http_options(config_);
+    options.port.reset();
+    options.socket = path;
+    return HttpApi::start(options, sources);
   };
-  const auto shown = pipeline.run_live(*rig_.source, sink, stop);
-  // Before there is light the scene may be ready already.
-  if (!shown && shown.error().code != ErrorCode::kUndetermined)
-    return std::unexpected(shown.error());
+  PENUMBRA_ASSIGN(socket, make_at(config_.socket, "http.sock", on_socket));
+  socket_ = std::move(socket);
+  if (!tcp_ && !socket_)
+    return fail(ErrorCode::kInvalid, "http",
+                "has neither a port nor a socket: nobody could ask for anything");
+  PENUMBRA_ASSIGN(page, make_at(config_.light_page, "light", LightPage::create));
+  page_ = std::move(page);
   return {};
 }
 
-Result<void> Service::run_with(runtime::PreparedScene prepared, const std::atomic<bool>& stop) {
-  const auto scene = std::make_shared<runtime::PreparedScene>(std::move(prepared));
-  options_.measure_costs = true;
-  PENUMBRA_ASSIGN(pipeline, Pipeline::create(rig_.source->cameras(), scene, options_));
-  runtime::drop_coefficients(*scene);
-  const AttachedPipeline attached(objects_, pipeline);
+Result<void> Service::compose(capture::FrameSource& source, const std::atomic<bool>& stop) {
+  PipelineOptions options;
+  options.bands = config_.bands;
+  options.max_lights = config_.max_lights;
+  options.max_shadow_error = config_.max_shadow_error;
+  options.timings = times_;
+  options.measure_costs = true;
+  runtime::Scene bare = rig_.scene;
+  bare.objects.clear();
+  PENUMBRA_ASSIGN(pipeline, Pipeline::create(source.cameras(), bare, options));
+  if (page_)
+    pipeline.watch_light([this](const Environment& map, const lighting::LightEstimate& light) {
+      page_->write(light);
+      page_->write(map);
+      state_.publish_environment(map);
+    });
+  else
+    pipeline.watch_light([this](const Environment& map, const lighting::LightEstimate&) {
+      state_.publish_environment(map);
+    });
+  runtime::BakeSettings settings;
+  settings.bands = config_.bands;
+  SceneKeeper keeper(settings, progress_,
+                     [&](const runtime::Scene& scene, runtime::PreparedScene prepared) {
+                       if (const auto taken = pipeline.change_scene(std::move(prepared)); !taken)
+                         log_warning("{}: {}", taken.error().where, taken.error().detail);
+                       const std::scoped_lock lock(scenes_mutex_);
+                       shown_ = scene;
+                     });
+  const AttachedPipeline attached(objects_, pipeline, keeper);
+  objects_.set_scene(rig_.scene);
+  keeper.want(rig_.scene);
   std::signal(SIGHUP, on_reload);
+  std::atomic<std::int64_t> turned_ns = now_ns();
+  const Watchdog watchdog([&] { return now_ns() - turned_ns < kStuck_ns; });
+  std::optional<Error> failed;
+  pipeline.watch_turns([&] {
+    turned_ns = now_ns();
+    if (g_reload.exchange(false)) reload();
+  });
   const auto sink = [&](const runtime::Output& out) {
-    if (g_reload.exchange(false)) reload(config_, rig_.scene, scene_now_, objects_);
-    publish(out);
-    return true;
+    publish(out, source, pipeline);
+    // A scene that cannot be loaded at the start is a mistake that its author wants to hear of.
+    if (const auto first = keeper.first_outcome(); first && !*first) failed = first->error();
+    return !failed;
   };
-  PENUMBRA_ASSIGN(counts, pipeline.run_live(*rig_.source, sink, stop));
+  const auto counts = pipeline.run_live(source, sink, stop);
+  notify_system("STOPPING=1");
+  if (failed) return std::unexpected(*failed);
+  PENUMBRA_TRY(counts);
   log_info("stopped after {} frames in {:.1f} s; {} view and {} environment frames dropped",
-           counts.frames, counts.seconds, counts.overtaken.view, counts.overtaken.environment);
-  tell_losses(rig_.source->cameras(), rig_.source->counts());
+           counts->frames, counts->seconds, counts->overtaken.view, counts->overtaken.environment);
+  tell_losses(source.cameras(), source.counts());
+  if (keeper.is_busy()) {
+    // A bake cannot be told to stop. It leaves nothing half-written.
+    (void)recording_.stop();
+    log_info("stopped while objects were baked");
+    page_.reset(), socket_.reset(), tcp_.reset();
+    std::_Exit(0);
+  }
   return {};
 }
 
 Result<void> Service::run() {
-  constexpr std::chrono::seconds kFromCache(2);  // takes no longer
   // The port first: whether it is free should not be learnt after long work, and clients see
   // "starting".
-  PENUMBRA_ASSIGN(api, HttpApi::start(config_.address, config_.port, state_, *options_.timings,
-                                      config_.stale_after_s, &objects_));
+  PENUMBRA_TRY(listen());
+  const std::atomic<bool>& stop = catch_stop_signals();
   PENUMBRA_ASSIGN(rig, open_rig(config_, progress_));
   rig_ = std::move(rig);
-  scene_now_ = rig_.scene;
+  scene_now_ = shown_ = rig_.scene;
   PENUMBRA_TRY(Pipeline::check(rig_.source->cameras()));
-  const std::atomic<bool>& stop = catch_stop_signals();
-  runtime::BakeSettings settings;
-  settings.bands = config_.bands;
-  BackgroundScene scene(rig_.scene, settings, progress_);
-  // A run closes its source, and real cameras open once.
-  const bool at_once = rig_.source->is_live() || scene.is_ready(kFromCache);
-  log_info("listening on http://{}:{}", config_.address, api->port());
-  if (!at_once) {
-    log_info("the scene's objects are baked first: until then the camera's picture is shown");
-    PENUMBRA_TRY(run_without_objects(scene, stop));
-  }
-  while (!stop && !scene.is_ready(std::chrono::milliseconds(100))) {
-  }
-  if (stop) {
-    // A bake cannot be told to stop. It leaves nothing half-written.
-    log_info("stopped before the objects were baked");
-    std::_Exit(0);
-  }
-  PENUMBRA_ASSIGN(prepared, scene.take());
-  return run_with(std::move(prepared), stop);
+  state_.describe_source(rig_.source->cameras(), rig_.source->view_rate());
+  if (tcp_) log_info("listening on http://{}:{}", config_.address, tcp_->port());
+  if (socket_) log_info("listening on the socket {}", socket_->socket().string());
+  notify_system("READY=1");
+  const auto source = recording_.tap(*rig_.source);
+  return compose(*source, stop);
 }
 
 }  // namespace
 
 Result<void> serve(const ServeOptions& o, const ProgressOf& progress) {
+  constexpr double kBetweenSameLines_s = 10;
+  limit_log_rate(kBetweenSameLines_s);
   PENUMBRA_ASSIGN(config, read_rig_config(o.config));
   std::signal(SIGHUP, SIG_IGN);  // until there is something to reload
   std::signal(SIGUSR1, SIG_IGN);

@@ -22,7 +22,8 @@ prt/geometry prt/rays prt/transfer prt/bake prt/clip prt/reference
 shadows/silhouette shadows/field shadows/visibility
 compositor compositor/layers compositor/pixels compositor/composite
 runtime/scene runtime/surroundings runtime/direct runtime/shading
-runtime/governor runtime/pipeline runtime/studio service
+runtime/governor runtime/pipeline runtime/studio
+service/client service/openxr service/scene service/recording service/http service
 tools/common tools/plots tools/runs tools/pictures tools/demo tools/penumbrad tools/penumbra tools/calibrate
 tools/chart/measures tools/chart/governor tools/chart/benches tools/chart/peers tools/chart""".split()
 # All public headers of a room, for programs and tests; the library itself includes what it needs.
@@ -55,6 +56,12 @@ def targets_of(cmake):
                 elif word.startswith("penumbra::"):
                     links[word.removeprefix("penumbra::")] = public
             found[name] = (room_of(path) if kind != "umbrella" else None, links)
+        # What goes into other people's programs is made without our own flags.
+        for name in re.findall(r"add_library\(penumbra_(\w+) (?:STATIC|MODULE) \$\{sources", text):
+            linked = re.findall(rf"target_link_libraries\(penumbra_{name} PRIVATE ([^)]*)\)", text)
+            found[name] = (room_of(path), {link.removeprefix("penumbra::"): False
+                                           for link in " ".join(linked).split()
+                                           if link.startswith("penumbra::")})
     return found
 
 

@@ -39,7 +39,7 @@ SCENE, RIG = "runtime/scene/scene_file.cpp", "service/rig_config.cpp: read_rig_c
 MANIFEST, CAMERA = "capture/recording/folder_manifest.cpp", "capture/recording/camera_table"
 CALIBRATION = "calib/camera/calibration_files.cpp"
 POSES = "tools/calibrate/command_rig.cpp: print_pose_file("
-HTTP, REPORT = "service/http_api.cpp", "runtime/pipeline/report.h"
+HTTP, REPORT = "service/http/state_json.cpp", "runtime/pipeline/report.h"
 SUMMARY = "tools/runs/summary.cpp: summarise("
 CONFIGURATION = SUMMARY + ' > {"configuration"'
 RECORD = "tools/penumbra/command_record.cpp: to_json("
@@ -61,6 +61,7 @@ TABLES = {
         "The scene: `[scene]`": [f"{RIG} > scene_keys[]"],
         "The light: `[light]`": [f"{RIG} > light_keys[]"],
         "The HTTP interface: `[http]`": [f"{RIG} > http_keys[]"],
+        "What goes out: `[output]`": [f"{RIG} > output_keys[]"],
         "Cameras: `[[camera]]`": ["capture/device/rig_file.cpp: kDeviceKeys[]"]},
     "capture-folder.md": {
         "The file": [f"{MANIFEST}: read_manifest( > known[]"],
@@ -81,12 +82,12 @@ TABLES = {
                    f"{CALIBRATION}: parse_colour_file( > inside[]"],
         "Poses": [f"{POSES} > [] - version + {POSES} > [rig] + {POSES} > [camera]"]},
     "http.md": {
-        "`/healthz`": [f'{HTTP}: server.Get("/healthz"', f"{HTTP}: capture::CameraCounts& c)"],
+        "`/healthz`": [f"{HTTP}: json health_json(", f"{HTTP}: capture::CameraCounts& c)"],
         "`/v1/light`": [f"{REPORT}: json to_json(const lighting::LightEstimate& + "
-                        f'{HTTP}: server.Get("/v1/light" - error',
+                        f"{HTTP}: json light_json(",
                         f"{REPORT}: json to_json(const lighting::DistantLight&",
                         f"{REPORT}: json to_json(const lighting::Plan&"],
-        "`/v1/objects`": ["service/scene_control.cpp: kChangeKeys[]"]},
+        "`/v1/objects`": ["service/scene/scene_control.cpp: kChangeKeys[]"]},
     "json.md": {
         "demo, composite and summary.json": [
             f"{SUMMARY} - {CONFIGURATION} + configuration", f"{CONFIGURATION} - configuration"],

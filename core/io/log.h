@@ -21,6 +21,9 @@ using LogSink = std::function<void(LogLevel level, std::string_view line)>;
 /// Where messages go from now on; an empty sink drops them. Until it is called: standard error.
 void set_log_sink(LogSink sink);
 
+/// From now on a line passes once in so many seconds, and says then how often it came in between.
+void limit_log_rate(double seconds);
+
 void log(LogLevel level, std::string_view line);
 
 template <class... Args>

@@ -9,10 +9,16 @@ void StageTimes::add(std::string_view stage, double ms) {
   const std::scoped_lock lock(mutex_);
   auto found = std::ranges::find(stages_, stage, &Stage::name);
   if (found == stages_.end()) {
-    found = stages_.insert(stages_.end(), Stage{std::string(stage), {}, 0});
+    found = stages_.insert(stages_.end(), Stage{std::string(stage), {}, 0, {}});
     // No frame pays for more room later; the system gives the memory when it is written to.
     found->ms.reserve(kMaxSamples);
   }
+  Histogram& h = found->histogram;
+  const auto bin = std::ranges::lower_bound(Histogram::kUpTo_ms, ms);
+  if (bin != Histogram::kUpTo_ms.end())
+    ++h.counts[static_cast<std::size_t>(bin - Histogram::kUpTo_ms.begin())];
+  ++h.count;
+  h.sum_ms += ms;
   if (found->ms.size() < kMaxSamples) {
     found->ms.push_back(static_cast<float>(ms));
   } else {
@@ -41,6 +47,13 @@ std::vector<std::pair<std::string, StageTimes::Percentiles>> StageTimes::summary
     const double median = at(.5);
     out.emplace_back(stage.name, Percentiles{median, at(.99), ms.size()});
   }
+  return out;
+}
+
+std::vector<std::pair<std::string, StageTimes::Histogram>> StageTimes::histograms() const {
+  const std::scoped_lock lock(mutex_);
+  std::vector<std::pair<std::string, Histogram>> out;
+  for (const Stage& stage : stages_) out.emplace_back(stage.name, stage.histogram);
   return out;
 }
 

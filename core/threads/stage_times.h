@@ -1,11 +1,14 @@
 // Durations of named stages, for percentiles in summaries.
 #pragma once
 
+#include <array>
 #include <chrono>
+#include <cstdint>
 #include <map>
 #include <mutex>
 #include <string>
 #include <string_view>
+#include <utility>
 #include <vector>
 
 #pragma GCC visibility push(default)
@@ -19,9 +22,18 @@ class StageTimes {
     std::size_t count = 0;
   };
 
+  /// How often a stage took how long, since the start.
+  struct Histogram {
+    static constexpr std::array kUpTo_ms{.5, 1., 2., 4., 8., 16., 33., 66., 133., 266., 1000.};
+    std::array<std::uint64_t, kUpTo_ms.size()> counts{};  // not more than that, and than no smaller
+    std::uint64_t count = 0;                              // of all
+    double sum_ms = 0;
+  };
+
   void add(std::string_view stage, double ms);
   /// In order of first use.
   std::vector<std::pair<std::string, Percentiles>> summary() const;
+  std::vector<std::pair<std::string, Histogram>> histograms() const;
 
  private:
   // A stage that runs for days keeps its last ones
@@ -30,6 +42,7 @@ class StageTimes {
     std::string name;
     std::vector<float> ms;
     std::size_t next = 0;
+    Histogram histogram{};
   };
   mutable std::mutex mutex_;
   std::vector<Stage> stages_;  // guarded by mutex_

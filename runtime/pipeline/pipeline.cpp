@@ -67,6 +67,7 @@ struct Pipeline::Impl {
   std::unique_ptr<runtime::CompositeStage> composite;
   lighting::LightEstimate estimate;
   LightWatch watch;
+  std::function<void()> turn;
   Latest<std::shared_ptr<runtime::PreparedScene>> next_scene;
   Latest<lighting::GovernorConfig> next_governor;
   std::mutex governor_mutex;
@@ -104,9 +105,10 @@ struct Pipeline::Impl {
 
 Result<lighting::GovernorConfig> Pipeline::Impl::make_governor(
     const runtime::PreparedScene& of) const {
-  const auto costs = !options.measure_costs   ? runtime::CostSource::kFixed
-                     : options.bake.use_cache ? runtime::CostSource::kKept
-                                              : runtime::CostSource::kFitted;
+  const auto costs = !options.measure_costs ? runtime::CostSource::kFixed
+                     : options.bake.cache == runtime::BakeCache::kNotUsed
+                         ? runtime::CostSource::kFitted
+                         : runtime::CostSource::kKept;
   return runtime::make_governor_config(
       of, {options.max_shadow_error, options.bands, options.max_lights}, costs);
 }
@@ -301,6 +303,10 @@ void Pipeline::watch_light(LightWatch watch) {
   impl_->watch = std::move(watch);
 }
 
+void Pipeline::watch_turns(std::function<void()> turn) {
+  impl_->turn = std::move(turn);
+}
+
 Result<runtime::RunCounts> Pipeline::replay(capture::FrameSource& source,
                                             const runtime::Sink& sink) {
   if (impl_->scene->sun && !impl_->scene->sun->time)
@@ -315,6 +321,7 @@ Result<runtime::RunCounts> Pipeline::run_live(capture::FrameSource& source,
                                               const std::atomic<bool>& stop) {
   PENUMBRA_TRY(impl_->check(source));
   runtime::LiveChanges changes;
+  changes.turn = impl_->turn;
   changes.stage_waits = [this] { return impl_->next_scene.waiting(); };
   changes.take_stage = [this] { return impl_->take_next_scene(); };
   changes.take_governor = [this] { return impl_->next_governor.take(); };

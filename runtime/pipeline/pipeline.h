@@ -127,6 +127,9 @@ class Pipeline {
   /// which waits for it. Set before the run.
   using LightWatch = std::function<void(const Environment&, const lighting::LightEstimate&)>;
   void watch_light(LightWatch watch);
+  /// Is called during a live run on its own thread at least twice a second, also while no frame
+  /// comes. Set before the run.
+  void watch_turns(std::function<void()> turn);
 
   /// All frames of a source in order of time on this thread: with a new pipeline the same input
   /// gives the same bytes. light() stays as it was before.

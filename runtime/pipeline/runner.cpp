@@ -412,6 +412,7 @@ Result<RunCounts> run_live(capture::FrameSource& source, LightEstimationStage& l
         live.recoveries.put(std::move(found));
     };
     while (frames.go_on() && !stop) {
+      if (changes.turn) changes.turn();
       auto frame = live.view.wait(Seconds(.5));
       if (!frame) {
         if (live.view.closed()) break;

@@ -19,8 +19,10 @@ class LightEstimationStage;
 
 /// What others may change and watch while a live run goes on. Each may be empty.
 struct LiveChanges {
-  // On the compositing thread, before each frame; the second only after the first said so. What was
-  // drawn with the stage before has been handed out by then.
+  // On the compositing thread, at least twice a second
+  std::function<void()> turn;
+  // There as well, before each frame; the second only after the first said so. What was drawn with
+  // the stage before has been handed out by then.
   std::function<bool()> stage_waits;
   std::function<CompositeStage*()> take_stage;  // null: the one before goes on
   // On the light's thread, before and after each environment frame

@@ -305,7 +305,7 @@ Result<PreparedObject> prepare_animated(const SceneObject& o, const std::vector<
   }
   options.progress = progress;
   PENUMBRA_ASSIGN(sequence, bake_or_recall(o.name, animation->character, animation->clip, options,
-                                           settings.use_cache));
+                                           settings.cache));
   animation->sequence = std::move(sequence);
   enlarge(*animation, scale);
   PENUMBRA_TRY(start(std::move(animation), out));

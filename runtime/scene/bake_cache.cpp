@@ -73,9 +73,21 @@ void prune_cache(const fs::path& folder, std::uintmax_t max_bytes) {
     if ((kept += e.bytes) > max_bytes) fs::remove(e.path, error);
 }
 
+namespace {
+
+std::optional<fs::path> folder_of(BakeCache cache) {
+  return cache == BakeCache::kNotUsed ? std::nullopt : cache_folder();
+}
+
+std::unexpected<Error> not_baked(const std::string& name) {
+  return fail(ErrorCode::kNotFound, name, "is not in the cache");
+}
+
+}  // namespace
+
 Result<prt::BakedObject> bake_or_recall(const std::string& name, prt::Mesh mesh,
-                                        const prt::BakeOptions& options, bool use_cache) {
-  const auto folder = use_cache ? cache_folder() : std::nullopt;
+                                        const prt::BakeOptions& options, BakeCache cache) {
+  const auto folder = folder_of(cache);
   const fs::path file = folder ? *folder / cache_name(mesh, options) : fs::path();
   if (folder)
     if (auto recalled = prt::read_baked(file)) {
@@ -83,6 +95,7 @@ Result<prt::BakedObject> bake_or_recall(const std::string& name, prt::Mesh mesh,
       fs::last_write_time(file, fs::file_time_type::clock::now(), ignored);
       return recalled;
     }
+  if (cache == BakeCache::kOnly) return not_baked(name);
   auto baked = prt::bake(std::move(mesh), options);
   if (!baked) return fail(baked.error().code, name, baked.error().detail);
   log_info(
@@ -105,7 +118,7 @@ Result<prt::BakedObject> AssetBakes::get(const std::string& name, prt::Mesh mesh
   const std::string key = cache_name(mesh, options);
   auto asset = assets_.find(key);
   if (asset == assets_.end()) {
-    PENUMBRA_ASSIGN(baked, bake_or_recall(name, std::move(mesh), options, use_cache_));
+    PENUMBRA_ASSIGN(baked, bake_or_recall(name, std::move(mesh), options, cache_));
     asset = assets_.emplace(key, Asset{std::move(baked), {}}).first;
   }
   std::vector<OnFloor>& floors = asset->second.floors;
@@ -187,11 +200,11 @@ void tell_work(const std::string& name, const prt::Character& character, int cli
 
 Result<prt::BakedSequence> bake_or_recall(const std::string& name, const prt::Character& character,
                                           int clip, const prt::SequenceOptions& options,
-                                          bool use_cache) {
+                                          BakeCache cache) {
   const auto named = [&](const Error& e) { return fail(e.code, name, e.where + ": " + e.detail); };
   const auto key = prt::bake_key(character, clip, options);
   if (!key) return named(key.error());
-  std::optional<fs::path> folder = use_cache ? cache_folder() : std::nullopt;
+  std::optional<fs::path> folder = folder_of(cache);
   if (folder && !make_folder(*folder)) folder.reset();
   const std::string stem = fmt::format(
       "{:016x}", Fnv1a().add(*key).add(options.error).add(options.interpolation_error).value());
@@ -202,6 +215,7 @@ Result<prt::BakedSequence> bake_or_recall(const std::string& name, const prt::Ch
       fs::last_write_time(file, fs::file_time_type::clock::now(), ignored);
       return recalled;
     }
+  if (cache == BakeCache::kOnly) return not_baked(name);
   tell_work(name, character, clip, options);
   Result<prt::BakedSequence> sequence =
       fail(ErrorCode::kUnwritable, name, "cannot keep its baked frames");

@@ -11,6 +11,7 @@
 #include "prt/clip/sequence.h"
 #include "prt/geometry/animation.h"
 #include "prt/geometry/mesh.h"
+#include "runtime/scene/scene.h"
 
 #pragma GCC visibility push(default)
 namespace penumbra::runtime {
@@ -21,16 +22,16 @@ std::optional<std::filesystem::path> cache_folder();
 /// From $XDG_CACHE_HOME/penumbra or ~/.cache/penumbra when it was baked before, otherwise baked and
 /// put there. The folder keeps what was used last, at most `kCacheBytes`; one that cannot be
 /// written costs time, not the result.
-/// errors: of prt::bake, naming `name`
+/// errors: of prt::bake, naming `name`; kNotFound (not there, and BakeCache::kOnly)
 Result<prt::BakedObject> bake_or_recall(const std::string& name, prt::Mesh mesh,
-                                        const prt::BakeOptions& options, bool use_cache);
+                                        const prt::BakeOptions& options, BakeCache cache);
 
 /// The bakes of one scene: an asset is baked once, however many copies of it stand there, and those
 /// on floors of one albedo share their transfer.
 /// threads: thread-bound
 class AssetBakes {
  public:
-  explicit AssetBakes(bool use_cache) : use_cache_(use_cache) {}
+  explicit AssetBakes(BakeCache cache) : cache_(cache) {}
   /// floor: its albedo; the options keep the floor apart
   /// errors: of prt::bake, naming `name`
   Result<prt::BakedObject> get(const std::string& name, prt::Mesh mesh,
@@ -45,7 +46,7 @@ class AssetBakes {
     prt::BakedObject baked;
     std::vector<OnFloor> floors;
   };
-  bool use_cache_;
+  BakeCache cache_;
   std::map<std::string, Asset> assets_;  // by cache name
 };
 
@@ -53,7 +54,7 @@ class AssetBakes {
 /// errors: of prt::bake_frames, naming `name`
 Result<prt::BakedSequence> bake_or_recall(const std::string& name, const prt::Character& character,
                                           int clip, const prt::SequenceOptions& options,
-                                          bool use_cache);
+                                          BakeCache cache);
 
 /// Says what a clip's bake takes, in time and in room for its journal, before one that takes more
 /// than a minute begins.

@@ -217,8 +217,7 @@ Result<void> bake_real(PreparedScene& scene, const BakeSettings& settings,
   options.ground_rays = settings.ground_rays;
   options.progress = progress;
   if (plane) options.receiver = prt::Receiver{prt::fit_ground_grid(mesh, 0), plane->albedo};
-  PENUMBRA_ASSIGN(baked,
-                  bake_or_recall("real geometry", std::move(mesh), options, settings.use_cache));
+  PENUMBRA_ASSIGN(baked, bake_or_recall("real geometry", std::move(mesh), options, settings.cache));
   out.baked = std::move(baked);
   scene.real = std::make_shared<const PreparedReal>(std::move(out));
   return {};
@@ -245,7 +244,7 @@ Result<PreparedScene> prepare(
     if (real.depth.empty()) prt::transform(mesh, world_from_mesh(real, mesh));
     append(out.real_mesh, mesh);
   }
-  AssetBakes bakes(settings.use_cache);
+  AssetBakes bakes(settings.cache);
   for (const SceneObject& object : scene.objects) {
     PENUMBRA_ASSIGN(prepared,
                     prepare_object(object, out, settings, bakes, progress("bake " + object.name)));

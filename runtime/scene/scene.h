@@ -74,12 +74,19 @@ Result<Scene> read_scene(const std::filesystem::path& path);
 /// errors: kUnwritable
 Result<void> write_scene(const std::filesystem::path& path, const Scene& scene);
 
+/// What was baked before is kept in a folder.
+enum class BakeCache {
+  kUsed,
+  kNotUsed,
+  kOnly  // nothing is baked: what is not there is kNotFound
+};
+
 struct BakeSettings {
   int bands = 5, bounces = 4, rays = 1024, ground_rays = 1024;
   /// Whether objects keep what their vertices see: lamps are then looked up instead of traced, for
   /// two thirds of a bake's time.
   bool visibility = true;
-  bool use_cache = true;
+  BakeCache cache = BakeCache::kUsed;
   /// Longest edge of still objects after subdivision, as a fraction of the bounding radius: one in
   /// 33 holds the edges of a sun's shadow. Characters always have the default.
   float max_edge_fraction = .03f;

@@ -262,6 +262,8 @@ std::vector<ObjectState> ObjectMoves::states() const {
         places_[i].empty() ? ObjectPlace{o.world_from_bake.translation, 0} : place_at(i, now_s_);
     now.visible = visible_[i] != 0;
     now.plays = o.plays;
+    now.speed = playing_[i].speed;
+    if (playing_[i].next) now.speed = playing_[i].next->speed.value_or(now.speed);
     now.rest_position_m = o.world_from_bake.translation;
     now.normal = o.world_from_bake.rotation * glm::dvec3(0, 1, 0);
     now.world_from_bake = placed(i, now_s_, playing_[i].clip_time_at(now_s_));

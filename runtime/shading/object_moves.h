@@ -38,6 +38,7 @@ struct ObjectState {
   ObjectPlace place;
   bool visible = true;
   bool plays = false;             // a clip or a turntable
+  double speed = 1;               // of that
   glm::dvec3 rest_position_m{0};  // where its scene has it
   glm::dvec3 normal{0, 1, 0};     // of the plane that it stands on
   Pose world_from_bake;           // with its turntable's turn

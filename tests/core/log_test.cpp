@@ -2,6 +2,7 @@
 
 #include <gtest/gtest.h>
 
+#include <chrono>
 #include <string>
 #include <thread>
 #include <vector>
@@ -33,6 +34,18 @@ TEST_F(Log, AnEmptySinkDropsThem) {
   set_log_sink({});
   log_warning("{}", "nobody reads this");
   EXPECT_TRUE(lines_.empty());
+}
+
+TEST_F(Log, ALineThatRepeatsPassesOnceAndSaysLaterHowOftenItCame) {
+  limit_log_rate(.2);
+  for (int i = 0; i < 5; ++i) log_info("again");
+  log_info("another");
+  EXPECT_EQ(lines_, (std::vector<std::string>{"i again", "i another"}));
+  std::this_thread::sleep_for(std::chrono::milliseconds(250));
+  log_info("again");
+  log_info("another");
+  EXPECT_EQ(lines_, (std::vector<std::string>{"i again", "i another", "i again (4 times more)",
+                                              "i another"}));
 }
 
 TEST_F(Log, ThreadsTakeTurns) {

@@ -533,12 +533,18 @@ class Serve(CliTest):
     def objects(self):
         return {o["name"]: o for o in json.loads(self.get("/v1/objects")[2])["objects"]}
 
-    def check_objects(self):
-        """Moved by a request, and by the scene file on SIGHUP; SIGUSR1 changes nothing."""
-        for _ in range(1200):  # they are baked first
-            if self.get("/v1/objects")[0] == 200:
-                break
+    def wait_for(self, what, true):
+        for _ in range(1200):
+            if true():
+                return
+            self.assertIsNone(self.process.poll(), "".join(self.lines))
             time.sleep(.1)
+        self.fail(f"{what}: {self.objects()}\n{''.join(self.lines)}")
+
+    def check_objects(self):
+        """Moved by a request, and by the scene file on SIGHUP, which also brings and takes objects; SIGUSR1
+        changes nothing."""
+        self.wait_for("no object is baked", self.objects)
         name, before = next(iter(self.objects().items()))
         body = json.dumps({"position_m": [0.1, 0, 0.2], "turn_deg": 45}).encode()
         request = urllib.request.Request(f"{self.base}/v1/objects/{name}", data=body, method="PATCH",
@@ -552,11 +558,19 @@ class Serve(CliTest):
         at = text.index("\n", text.index("[[object]]")) + 1
         scene.write_text(text[:at] + "position = [0.3, 0, 0]\n" + text[at:])
         self.process.send_signal(signal.SIGHUP)
-        for _ in range(300):
-            if abs(self.objects()[name]["position_m"][0] - before["position_m"][0] - .3) < 1e-6:
-                return
-            time.sleep(.1)
-        self.fail(f"not reloaded: {self.objects()}\n{''.join(self.lines)}")
+        moved = before["position_m"][0] + .3
+        self.wait_for("not moved", lambda: abs(self.objects()[name]["position_m"][0] - moved) < 1e-6)
+        scene.write_text(scene.read_text() + '[[object]]\nname = "crate"\nasset = "builtin:box"\n'
+                         'fit_size_m = 0.2\nposition = [-0.3, 0, 0]\n')
+        self.process.send_signal(signal.SIGHUP)
+        self.wait_for("no crate", lambda: "crate" in self.objects())
+        self.assertLess(abs(self.objects()[name]["position_m"][0] - moved), 1e-6)
+        scene.write_text(text)
+        self.process.send_signal(signal.SIGHUP)
+        self.wait_for("the crate stays", lambda: "crate" not in self.objects())
+        scene.write_text("version = 77\n")
+        self.process.send_signal(signal.SIGHUP)
+        self.wait_for("not refused", lambda: any("stays as it is" in line for line in self.lines))
 
     def test_service_answers_and_ends_when_told(self):
         self.assertGreater(self.wait_until_ok()["frames"], 0)
@@ -571,7 +585,7 @@ class Serve(CliTest):
         self.assert_close(blue / red, 0.25, 0.02)
         status, kind, body = self.get("/v1/frame.jpg")
         self.assertEqual((status, kind, body[:3]), (200, "image/jpeg", b"\xff\xd8\xff"))
-        for path in ("/v1/nothing", "/", "/v1/light/..%2f..%2fetc", "/" + "x" * 3000):
+        for path in ("/v1/nothing", "/index.html", "/v1/light/..%2f..%2fetc", "/" + "x" * 3000):
             status, kind, body = self.get(path)
             self.assertEqual((status, kind), (404, "application/json"), path)
             self.assertIn("error", json.loads(body))

@@ -30,7 +30,7 @@ PreparedScene box_scene(const glm::dquat& rotation = {1, 0, 0, 0}) {
   floor.albedo = Rgb{.4f, .4f, .4f};
   BakeSettings settings;
   settings.rays = settings.ground_rays = 64;
-  settings.use_cache = false;
+  settings.cache = runtime::BakeCache::kNotUsed;
   auto scene =
       prepare({{box}, {floor}}, settings, [](const std::string&) { return [](double) {}; });
   EXPECT_TRUE(scene);

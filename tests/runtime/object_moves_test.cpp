@@ -24,7 +24,7 @@ BakeSettings quick() {
           .rays = 64,
           .ground_rays = 64,
           .visibility = false,
-          .use_cache = false};
+          .cache = runtime::BakeCache::kNotUsed};
 }
 
 SceneObject thing(const char* name, const glm::dvec3& position, double turn_rad = 0) {

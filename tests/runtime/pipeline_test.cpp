@@ -158,7 +158,7 @@ TEST(Pipeline, WhatItLoadsItKeepsInATenthOfTheRoom) {
   scene.real.push_back(floor);
   PipelineOptions options;
   options.bake = runtime::BakeSettings::coarse();
-  options.bake.use_cache = false;
+  options.bake.cache = runtime::BakeCache::kNotUsed;
   options.bake.rays = options.bake.ground_rays = 64;
   const auto prepared = runtime::prepare(scene, options.bake, options.progress);
   ASSERT_TRUE(prepared) << prepared.error().detail;

@@ -433,7 +433,7 @@ class OneBake : public testing::Test {
   }
   PreparedScene prepared(const Scene& scene) {
     BakeSettings settings = quick();
-    settings.use_cache = true;
+    settings.cache = BakeCache::kUsed;
     settings.bounces = 1;
     auto out =
         prepare(scene, settings, [&](const std::string& name) -> std::function<void(double)> {

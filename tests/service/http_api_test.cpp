@@ -1,57 +1,162 @@
-#include "service/http_api.h"
+#include "service/http/http_api.h"
 #include "capture/capture.h"
 #include "lighting/lighting.h"
 
 #include <gtest/gtest.h>
 #include <httplib.h>
+#include <sys/socket.h>
+#include <sys/stat.h>
+#include <sys/un.h>
 #include <unistd.h>
 
+#include <atomic>
+#include <cmath>
 #include <cstdlib>
+#include <filesystem>
 #include <nlohmann/json.hpp>
+#include <optional>
+#include <thread>
+#include <vector>
 
-#include "service/scene_reload.h"
+#include "service/scene/scene_reload.h"
 #include "tests/support/gl.h"
+#include "tests/support/temp_folder.h"
 
 namespace penumbra::service {
 
 namespace {
 
+HttpOptions on_any_port() {
+  HttpOptions out;
+  out.port = 0;
+  return out;
+}
+
+// Before any light.
+struct Served {
+  test::TempFolder folder;
+  PublishedState state;
+  StageTimes times;
+  SceneControl objects;
+  LiveRecording recording{folder.path()};
+  std::unique_ptr<HttpApi> api;
+  std::optional<httplib::Client> client;
+
+  explicit Served(const HttpOptions& options = on_any_port()) {
+    auto started = start(options);
+    if (!started) return;
+    api = std::move(*started);
+    if (api->port() > 0) client.emplace("127.0.0.1", api->port());
+  }
+  Result<std::unique_ptr<HttpApi>> start(const HttpOptions& options) {
+    return HttpApi::start(options, {state, times, objects, recording});
+  }
+};
+
 TEST(HttpApi, TakesAnyFreePortAndRefusesOneInUse) {
-  const PublishedState state;
-  const StageTimes times;
-  const auto first = HttpApi::start("127.0.0.1", 0, state, times, 1);
-  ASSERT_TRUE(first) << first.error().detail;
-  EXPECT_GT((*first)->port(), 0);
-  const auto second = HttpApi::start("127.0.0.1", 0, state, times, 1);
-  ASSERT_TRUE(second);
-  EXPECT_NE((*second)->port(), (*first)->port());
+  Served first, second;
+  ASSERT_TRUE(first.api && second.api);
+  EXPECT_GT(first.api->port(), 0);
+  EXPECT_NE(second.api->port(), first.api->port());
   ::usleep(200'000);  // both threads listen; see the next test
 }
 
 TEST(HttpApi, ASecondOneDoesNotShareAPort) {
-  const PublishedState state;
-  const StageTimes times;
-  const auto first = HttpApi::start("127.0.0.1", 0, state, times, 1);
-  ASSERT_TRUE(first);
-  const auto second = HttpApi::start("127.0.0.1", (*first)->port(), state, times, 1);
+  Served first;
+  HttpOptions same = on_any_port();
+  same.port = first.api->port();
+  const auto second = first.start(same);
   ASSERT_FALSE(second);
   EXPECT_EQ(second.error().code, ErrorCode::kUnavailable);
   ::usleep(200'000);  // the first one listens
 }
 
-// Before any light.
-struct Served {
-  PublishedState state;
-  StageTimes times;
-  std::unique_ptr<HttpApi> api = *HttpApi::start("127.0.0.1", 0, state, times, 1);
-  httplib::Client client{"127.0.0.1", api->port()};
-};
+// A socket that only its owner may open answers without looking at names.
+TEST(HttpApi, AUnixSocketIsItsOwnersAlone) {
+  const test::TempFolder folder;
+  HttpOptions options;
+  options.socket = folder.path() / "run" / "http.sock";
+  {
+    Served s(options);
+    ASSERT_TRUE(s.api);
+    EXPECT_EQ(s.api->port(), 0);
+    struct stat about {};
+    ASSERT_EQ(::stat(options.socket.c_str(), &about), 0);
+    EXPECT_EQ(about.st_mode & 0777, 0600u);
+    httplib::Client client(options.socket.string());
+    client.set_address_family(AF_UNIX);
+    const auto response = client.Get("/healthz", {{"Host", "any.example"}});
+    ASSERT_TRUE(response);
+    EXPECT_EQ(response->status, 503) << "no light yet";
+    const auto second = s.start(options);
+    ASSERT_FALSE(second);
+    EXPECT_EQ(second.error().code, ErrorCode::kUnavailable) << "somebody listens there";
+  }
+  EXPECT_FALSE(std::filesystem::exists(options.socket));
+  // What a service that was killed leaves is taken over.
+  const int left = ::socket(AF_UNIX, SOCK_STREAM, 0);
+  sockaddr_un name{};
+  name.sun_family = AF_UNIX;
+  options.socket.string().copy(name.sun_path, sizeof name.sun_path - 1);
+  ASSERT_EQ(::bind(left, reinterpret_cast<const sockaddr*>(&name), sizeof name), 0);
+  ::close(left);
+  EXPECT_TRUE(Served(options).api);
+  options.socket = folder.path() / std::string(200, 'x');
+  EXPECT_FALSE(Served(options).api);
+}
+
+TEST(HttpApi, AnAddressThatOthersReachNeedsTheToken) {
+  HttpOptions options = on_any_port();
+  options.address = "0.0.0.0";
+  EXPECT_FALSE(Served(options).api) << "no token";
+  options.token = "a-token-of-some-length";
+  Served s(options);
+  ASSERT_TRUE(s.api);
+  const auto status = [&](const httplib::Headers& headers, const char* path = "/v1/light") {
+    const auto response = s.client->Get(path, headers);
+    return response ? response->status : -1;
+  };
+  constexpr int kNoLight = 503;
+  EXPECT_EQ(status({}), 401);
+  EXPECT_EQ(status({{"Authorization", "Bearer a-token-of-some-lengtg"}}), 401);
+  EXPECT_EQ(status({{"Authorization", "Bearer a-token-of-some-length"}}), kNoLight);
+  EXPECT_EQ(status({}, "/v1/light?token=a-token-of-some"), 401);
+  const auto first = s.client->Get("/v1/light?token=a-token-of-some-length");
+  ASSERT_TRUE(first);
+  EXPECT_EQ(first->status, kNoLight);
+  const std::string cookie = first->get_header_value("Set-Cookie");
+  EXPECT_NE(cookie.find("HttpOnly; SameSite=Strict"), std::string::npos);
+  EXPECT_EQ(status({{"Cookie", "a=b; " + cookie.substr(0, cookie.find(';'))}}), kNoLight);
+  EXPECT_EQ(status({{"Cookie", "penumbra_token=wrong"}}), 401);
+}
+
+TEST(HttpApi, OnlyPagesOfListedOriginsMayRead) {
+  HttpOptions options = on_any_port();
+  options.origins = {"https://engine.example"};
+  Served s(options);
+  const auto allowed = [&](const char* origin, const char* method) {
+    httplib::Request request;
+    request.method = method;
+    request.path = "/v1/light";
+    request.headers = {{"Origin", origin}, {"Host", "localhost"}};
+    const auto response = s.client->send(request);
+    return response ? response->get_header_value("Access-Control-Allow-Origin") : "none";
+  };
+  for (const char* method : {"GET", "OPTIONS"}) {
+    EXPECT_EQ(allowed("https://engine.example", method), "https://engine.example");
+    EXPECT_EQ(allowed("https://engine.example.evil.example", method), "");
+    EXPECT_EQ(allowed("null", method), "");
+  }
+  const auto response = s.client->Get("/healthz");
+  ASSERT_TRUE(response);
+  EXPECT_EQ(response->get_header_value("Cross-Origin-Resource-Policy"), "same-origin");
+}
 
 // Bytes that are no UTF-8 come back in an error, and the service goes on.
 TEST(HttpApi, AnyPathIsAnswered) {
   Served s;
   for (const char* path : {"/%ff", "/%c3%28", "/%00", "/..%2f..%2fetc", "/%"}) {
-    const auto response = s.client.Get(path);
+    const auto response = s.client->Get(path);
     ASSERT_TRUE(response) << path;
     EXPECT_EQ(response->status, 404) << path;
     EXPECT_TRUE(nlohmann::json::accept(response->body)) << path << ": " << response->body;
@@ -61,7 +166,7 @@ TEST(HttpApi, AnyPathIsAnswered) {
 TEST(HttpApi, AHostThatIsNoLoopbackNameIsRefused) {
   Served s;
   const auto status = [&](const char* host) {
-    const auto response = s.client.Get("/v1/light", {{"Host", host}});
+    const auto response = s.client->Get("/v1/light", {{"Host", host}});
     return response ? response->status : -1;
   };
   for (const char* host :
@@ -74,10 +179,9 @@ TEST(HttpApi, AHostThatIsNoLoopbackNameIsRefused) {
 
 void start_and_stop_often() {
   ::alarm(60);  // ends a process that hangs; no measure of speed
-  const PublishedState state;
-  const StageTimes times;
+  Served s;
   for (int i = 0; i < 300; ++i)
-    if (!HttpApi::start("127.0.0.1", 0, state, times, 1)) std::exit(1);
+    if (!s.start(on_any_port())) std::exit(1);
   std::exit(0);
 }
 
@@ -87,8 +191,8 @@ TEST(HttpApiDeathTest, StopsEvenBeforeItsThreadListens) {
 }
 
 TEST(HttpApi, HealthTellsWhatBecameOfEachCamerasFrames) {
-  PublishedState state;
-  const StageTimes times;
+  Served s;
+  PublishedState& state = s.state;
   capture::CameraCounts sky, view;
   sky.frames = 70, sky.lost = 3, sky.rejected = 2, sky.reconnected = 1, sky.delay_frames = 2;
   sky.overrun = 4;
@@ -97,10 +201,7 @@ TEST(HttpApi, HealthTellsWhatBecameOfEachCamerasFrames) {
   cameras[0].name = "sky", cameras[1].name = "view";
   state.publish_cameras(cameras, {sky, view});
   state.publish({}, {1}, nullptr, {5, 6});
-  const auto api = HttpApi::start("127.0.0.1", 0, state, times, 1);
-  ASSERT_TRUE(api);
-  httplib::Client client("127.0.0.1", (*api)->port());
-  const auto response = client.Get("/healthz");
+  const auto response = s.client->Get("/healthz");
   ASSERT_TRUE(response);
   const auto body = nlohmann::json::parse(response->body);
   EXPECT_EQ(body["cameras"]["sky"]["frames"], 70);
@@ -131,12 +232,12 @@ TEST(HttpApi, ClientsThatKeepTheirConnectionsHoldNobodyUp) {
 TEST(HttpApi, ChangesThatAreNoneAreRefusedByName) {
   Served s;
   const auto answer = [&](const char* body, const char* type = "application/json") {
-    const auto response = s.client.Patch("/v1/objects/box", body, type);
+    const auto response = s.client->Patch("/v1/objects/box", body, type);
     EXPECT_TRUE(response) << body;
     return response ? std::pair(response->status, response->body) : std::pair(0, std::string());
   };
   EXPECT_EQ(answer("{}").first, 503) << "no scene yet";
-  EXPECT_EQ(s.client.Get("/v1/objects")->status, 503);
+  EXPECT_EQ(s.client->Get("/v1/objects")->status, 503);
   EXPECT_EQ(answer("{}", "text/plain").first, 415) << "what a foreign page may send unasked";
   for (const auto& [body, words] : {std::pair{"", "JSON object"},
                                     {"[1]", "JSON object"},
@@ -157,10 +258,19 @@ TEST(HttpApi, ChangesThatAreNoneAreRefusedByName) {
   const std::string deep(30'000, '[');
   EXPECT_EQ(answer(deep.c_str()).first, 400);
   const std::string large(1 << 17, ' ');
-  const auto refused = s.client.Patch("/v1/objects/box", large, "application/json");
+  const auto refused = s.client->Patch("/v1/objects/box", large, "application/json");
   EXPECT_TRUE(!refused || refused->status == 413);
-  EXPECT_EQ(s.client.Patch("/v1/light", "{}", "application/json")->status, 405);
-  EXPECT_EQ(s.client.Get("/healthz", {{"Range", "bytes=0-1,2-3,4-5"}})->status, 416);
+  EXPECT_EQ(s.client->Patch("/v1/light", "{}", "application/json")->status, 405);
+  for (const char* file : {"../x.mkv", "/tmp/x.mkv", "x.mp4", ".x.mkv", "a b.mkv"})
+    EXPECT_EQ(
+        s.client->Post("/v1/recording", nlohmann::json{{"file", file}}.dump(), "application/json")
+            ->status,
+        400)
+        << file;
+  EXPECT_EQ(s.client->Post("/v1/recording", "{}", "application/json")->status, 503);
+  EXPECT_EQ(s.client->Delete("/v1/recording")->status, 404);
+  EXPECT_EQ(s.client->Post("/v1/snapshot", "{}", "application/json")->status, 503);
+  EXPECT_EQ(s.client->Get("/healthz", {{"Range", "bytes=0-1,2-3,4-5"}})->status, 416);
 }
 
 TEST(HttpApi, ANewObjectPlaceIsInTheNextFrame) {
@@ -192,17 +302,20 @@ TEST(HttpApi, ANewObjectPlaceIsInTheNextFrame) {
   PipelineOptions options;
   options.bake = runtime::BakeSettings::coarse();
   options.bake.rays = options.bake.ground_rays = 64;
-  options.bake.use_cache = false;
+  options.bake.cache = runtime::BakeCache::kNotUsed;
   auto pipeline = Pipeline::create(cameras, scene, options);
   PENUMBRA_NEED_GL(pipeline);
   ASSERT_TRUE(pipeline);
   pipeline->set_light(*lighting::estimate_map(capture::make_room_environment(128, 64), {}));
-  const PublishedState state;
-  SceneControl objects;
-  const auto api = HttpApi::start("127.0.0.1", 0, state, pipeline->timings(), 1, &objects);
-  ASSERT_TRUE(api);
-  httplib::Client client("127.0.0.1", (*api)->port());
-  objects.attach(&*pipeline);
+  Served s;
+  SceneControl& objects = s.objects;
+  httplib::Client& client = *s.client;
+  SceneKeeper keeper(options.bake, options.progress,
+                     [&](const runtime::Scene&, runtime::PreparedScene prepared) {
+                       EXPECT_TRUE(pipeline->change_scene(std::move(prepared)));
+                     });
+  objects.attach(&*pipeline, &keeper);
+  objects.set_scene(scene);
   const auto drawn = [&] { return pipeline->composite(frame)->pixels; };
   const auto change = [&](const char* object, const char* body) {
     return client.Patch(std::string("/v1/objects/") + object, body, "application/json")->status;
@@ -245,7 +358,35 @@ TEST(HttpApi, ANewObjectPlaceIsInTheNextFrame) {
   EXPECT_TRUE(drawn() == *frame.pixels);
   apply_scene(scene, none, scene, objects);
   EXPECT_TRUE(drawn() == at_first);
-  objects.attach(nullptr);
+
+  // Others come and go.
+  const auto add = [&](const char* body) {
+    return client.Post("/v1/objects", body, "application/json")->status;
+  };
+  EXPECT_EQ(add(R"({"name": "box", "asset": "builtin:box"})"), 400) << "the name is taken";
+  EXPECT_EQ(add(R"({"name": "other", "asset": "/etc/passwd"})"), 400);
+  EXPECT_EQ(add(R"({"name": "other", "asset": "https://x.example/a.glb"})"), 400);
+  EXPECT_EQ(add(R"({"name": "other", "asset": "builtin:box", "size_m": 0})"), 400);
+  EXPECT_EQ(add(R"({"name": "other", "assett": "builtin:box"})"), 400);
+  EXPECT_EQ(add(R"({"name": "other", "asset": "builtin:box", "position_m": [0.3, 0, 0],
+                    "size_m": 0.2})"),
+            202);
+  while (keeper.is_busy()) ::usleep(10'000);
+  EXPECT_FALSE(drawn() == at_first);
+  EXPECT_EQ(pipeline->objects().size(), 2u);
+  EXPECT_EQ(client.Delete("/v1/objects/other")->status, 200);
+  EXPECT_TRUE(drawn() == at_first) << "out of the picture at once";
+  while (keeper.is_busy()) ::usleep(10'000);
+  EXPECT_TRUE(drawn() == at_first);
+  EXPECT_EQ(pipeline->objects().size(), 1u) << "and out of the scene";
+  EXPECT_EQ(client.Delete("/v1/objects/other")->status, 404);
+  EXPECT_EQ(client.Patch("/v1/budget", R"({"max_shadow_error": 0.1})", "application/json")->status,
+            200);
+  EXPECT_EQ(pipeline->max_shadow_error(), .1);
+  EXPECT_EQ(client.Patch("/v1/budget", R"({"max_shadow_error": 0})", "application/json")->status,
+            400);
+  EXPECT_EQ(client.Patch("/v1/budget", R"({"error": 1})", "application/json")->status, 400);
+  objects.attach(nullptr, nullptr);
   EXPECT_EQ(change("box", R"({"visible": true})"), 503);
 }
 
@@ -265,6 +406,189 @@ TEST(PublishedState, HandsOutTheNewest) {
     EXPECT_TRUE(s.light.valid);
     EXPECT_GE(s.idle_s, 0);
   }
+}
+
+// A measured light, a frame and a map.
+void publish_something(PublishedState& state) {
+  Environment room;
+  room.radiance = capture::make_room_environment(128, 64);
+  lighting::LightEstimate light = *lighting::estimate_map(room.radiance, {});
+  light.valid = true;
+  state.publish_environment(room);
+  Image<Rgb8> grey(32, 16);
+  for (Rgb8& p : grey.pixels()) p = {100, 120, 140};
+  state.publish(light, {1'000'000}, std::make_shared<const FramePixels>(grey));
+}
+
+TEST(HttpApi, PicturesAndMapsComeInTheFormatsThatAreAskedFor) {
+  Served s;
+  EXPECT_EQ(s.client->Get("/v1/environment.exr")->status, 503) << "no light yet";
+  publish_something(s.state);
+  for (const auto& [path, begin] : {std::pair{"/v1/frame.jpg", "\xff\xd8\xff"},
+                                    {"/v1/frame.png", "\x89PNG"},
+                                    {"/v1/environment.jpg", "\xff\xd8\xff"},
+                                    {"/v1/environment.hdr", "#?RADIANCE"},
+                                    {"/v1/environment.exr", "\x76\x2f\x31\x01"}}) {
+    const auto response = s.client->Get(path);
+    ASSERT_TRUE(response) << path;
+    EXPECT_EQ(response->status, 200) << path;
+    EXPECT_TRUE(response->body.starts_with(begin)) << path;
+  }
+  EXPECT_EQ(s.client->Get("/v1/environment.png")->status, 404);
+  const auto map = nlohmann::json::parse(s.client->Get("/v1/environment")->body);
+  EXPECT_EQ(map["width"], 128);
+  double sum = 0;
+  for (const auto& part : map["histogram"]["fraction"]) sum += part.get<double>();
+  EXPECT_NEAR(sum, 1, 1e-9);
+}
+
+TEST(HttpApi, EnginesGetTheLightInTheirOwnConvention) {
+  Served s;
+  publish_something(s.state);
+  const auto light = nlohmann::json::parse(s.client->Get("/v1/light")->body);
+  const auto as = [&](const std::string& name) {
+    return nlohmann::json::parse(s.client->Get("/v1/light?as=" + name)->body);
+  };
+  const auto& ours = light["residual"]["coefficients"];
+  const auto three = as("three"), godot = as("godot"), filament = as("filament");
+  for (int n = 0; n < 9; ++n) {
+    EXPECT_EQ(three["sh"][n], ours[n]) << n;
+    const bool flips = n == 2 || n == 5 || n == 7;  // odd in z
+    EXPECT_NEAR(godot["sh"][n][1].get<double>(), (flips ? -1 : 1) * ours[n][1].get<double>(), 1e-3);
+  }
+  EXPECT_NEAR(filament["sh"][0][0].get<double>(), .282095 * ours[0][0].get<double>(), 1e-2);
+  ASSERT_EQ(three["lights"].size(), light["lights"].size());
+  ASSERT_GT(light["lights"].size(), 0u);
+  const auto& sun = light["lights"][0];
+  EXPECT_NEAR(three["lights"][0]["irradiance"][0].get<double>(),
+              sun["radiance"][0].get<double>() * sun["solid_angle_sr"].get<double>(), 1e-2);
+  EXPECT_NEAR(as("unreal")["lights"][0]["direction"][2].get<double>(),
+              sun["direction"][1].get<double>(), 1e-6)
+      << "z is up";
+  const auto refused = s.client->Get("/v1/light?as=unrael");
+  EXPECT_EQ(refused->status, 400);
+  EXPECT_NE(refused->body.find("unreal"), std::string::npos);
+}
+
+TEST(HttpApi, EventsAndFramesStreamUntilTheClientLeaves) {
+  Served s;
+  publish_something(s.state);
+  std::string events;
+  s.client->Get("/v1/events?rate_hz=30", [&](const char* data, std::size_t size) {
+    events.append(data, size);
+    return events.find("\n\n", events.find("\n\n") + 1) == std::string::npos;  // two of them
+  });
+  ASSERT_TRUE(events.starts_with("event: state\ndata: "));
+  const auto state = nlohmann::json::parse(events.substr(19, events.find("\n\n") - 19));
+  EXPECT_EQ(state["status"], "ok");
+  EXPECT_TRUE(state["light"]["coefficients"].is_array());
+  EXPECT_TRUE(state["objects"].is_null()) << "no pipeline";
+  httplib::Client viewer("127.0.0.1", s.api->port());
+  std::string frames;
+  viewer.Get("/v1/frame.mjpeg", [&](const char* data, std::size_t size) {
+    frames.append(data, size);
+    return frames.find("\xff\xd9") == std::string::npos;  // a whole picture
+  });
+  EXPECT_TRUE(frames.starts_with("--penumbra-frame\r\nContent-Type: image/jpeg\r\n"));
+  for (const char* rate : {"0", "-1", "nan", "1e9", "x", ""})
+    EXPECT_EQ(s.client->Get(std::string("/v1/events?rate_hz=") + rate)->status, 400) << rate;
+}
+
+// As many as are allowed, and none more; what they hold comes back.
+TEST(HttpApi, StreamsAreBounded) {
+  Served s;
+  publish_something(s.state);
+  const auto refused = [&] {
+    httplib::Client one_more("127.0.0.1", s.api->port());
+    bool stream = false;
+    const auto response = one_more.Get("/v1/events", [&](const char* data, std::size_t) {
+      stream = data[0] == 'e';
+      return false;
+    });
+    return !stream;
+  };
+  {
+    std::atomic<int> begun = 0;
+    std::atomic<bool> leave = false;
+    std::vector<std::jthread> clients;
+    for (int i = 0; i < 32; ++i)
+      clients.emplace_back([&] {
+        httplib::Client client("127.0.0.1", s.api->port());
+        bool first = true;
+        client.Get("/v1/events?rate_hz=20", [&](const char*, std::size_t) {
+          begun += std::exchange(first, false);
+          return !leave;
+        });
+      });
+    for (int i = 0; i < 1000 && begun < 32; ++i) ::usleep(10'000);
+    EXPECT_EQ(begun, 32);
+    EXPECT_TRUE(refused());
+    EXPECT_EQ(s.client->Get("/v1/stages")->status, 200) << "others are answered";
+    leave = true;
+  }
+  bool again = false;
+  for (int i = 0; i < 300 && !again; ++i) {
+    again = !refused();
+    ::usleep(10'000);
+  }
+  EXPECT_TRUE(again);
+}
+
+TEST(HttpApi, MetricsAreWellFormedAndCountersOnlyGrow) {
+  Served s;
+  s.times.add("merge", 3);
+  s.times.add("merge", 2000);
+  publish_something(s.state);
+  capture::CameraCounts counts;
+  counts.frames = 7;
+  std::vector<capture::CameraInfo> cameras(1);
+  cameras[0].name = "a \"quoted\" \\ name";
+  s.state.publish_cameras(cameras, {counts});
+  const auto read = [&] { return s.client->Get("/metrics")->body; };
+  const std::string text = read();
+  EXPECT_NE(text.find("penumbra_stage_seconds_bucket{stage=\"merge\",le=\"0.004\"} 1\n"),
+            std::string::npos);
+  EXPECT_NE(text.find("penumbra_stage_seconds_bucket{stage=\"merge\",le=\"+Inf\"} 2\n"),
+            std::string::npos);
+  EXPECT_NE(text.find("penumbra_stage_seconds_sum{stage=\"merge\"} 2.003\n"), std::string::npos);
+  EXPECT_NE(text.find("camera=\"a \\\"quoted\\\" \\\\ name\",result=\"delivered\"} 7\n"),
+            std::string::npos);
+  const auto frames = [](const std::string& all) {
+    const std::string name = "\npenumbra_frames_composited_total ";
+    return std::stod(all.substr(all.find(name) + name.size()));
+  };
+  publish_something(s.state);
+  EXPECT_EQ(frames(read()), frames(text) + 1);
+}
+
+TEST(HttpApi, ThePageAllowsNothingFromElsewhere) {
+  Served s;
+  for (const auto& [path, type] : {std::pair{"/", "text/html"},
+                                   {"/page.js", "text/javascript"},
+                                   {"/page.css", "text/css"},
+                                   {"/openapi.json", "application/json"}}) {
+    const auto response = s.client->Get(path);
+    ASSERT_TRUE(response);
+    EXPECT_EQ(response->status, 200) << path;
+    EXPECT_EQ(response->get_header_value("Content-Type"), type);
+    EXPECT_NE(response->get_header_value("Content-Security-Policy").find("default-src 'none'"),
+              std::string::npos);
+  }
+  EXPECT_EQ(s.client->Get("/page.html")->status, 404);
+}
+
+TEST(PublishedState, FramesThatComeSlowlyAreSaid) {
+  PublishedState state;
+  state.describe_source({}, 1000);
+  publish_something(state);
+  PublishedState::Snapshot s = state.snapshot();
+  EXPECT_EQ(s.status(1), "ok") << "just begun";
+  s.uptime_s = 60;
+  EXPECT_EQ(s.status(1), "slow");
+  s.frame_rate_hz = 900;
+  EXPECT_EQ(s.status(1), "ok");
+  s.idle_s = 5;
+  EXPECT_EQ(s.status(1), "stale");
 }
 
 }  // namespace

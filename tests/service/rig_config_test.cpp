@@ -98,7 +98,42 @@ TEST_F(RigConfigFile, AddressesThatAreNotLoopbackAreRefused) {
         "127.example.com", "localhost.example.com", "::ffff:192.168.1.10"})
     expect_invalid(kStudio + "[http]\naddress = \"" + address + "\"\n", 5, "loopback");
   for (const char* address : {"127.0.0.1", "127.1.2.3", "localhost", "::1"})
-    EXPECT_TRUE(read(kStudio + "[http]\naddress = \"" + address + "\"\n")) << address;
+    EXPECT_TRUE(read(kStudio + "[http]\nport = 0\naddress = \"" + address + "\"\n")) << address;
+  expect_invalid(kStudio + "[http]\naddress = \"127.0.0.1\"\n", 5, "port");
+}
+
+TEST_F(RigConfigFile, WithATokenOthersMayCome) {
+  const std::string token = (folder_.path() / "token").string();
+  const std::string text = kStudio + "[http]\naddress = \"0.0.0.0\"\nport = 0\n";
+  expect_invalid(text, 5, "token_file");
+  EXPECT_FALSE(read(text + "token_file = \"token\"\n")) << "not there";
+  for (const char* bad :
+       {"", "short", "with spaces in it all over", "\x01\x02\x03 and so on and on"}) {
+    std::ofstream(token) << bad;
+    expect_invalid(text + "token_file = \"token\"\n", 7, "token");
+  }
+  std::ofstream(token) << "0123456789abcdefXYZ-_\n";
+  const auto c = read(text + "token_file = \"token\"\norigins = [\"https://a.example\"]\n");
+  ASSERT_TRUE(c) << c.error().detail;
+  EXPECT_EQ(c->token, "0123456789abcdefXYZ-_");
+  EXPECT_EQ(c->origins, std::vector<std::string>{"https://a.example"});
+  expect_invalid(kStudio + "[http]\norigins = [\"a.example\"]\n", 5, "origin");
+  expect_invalid(kStudio + "[http]\norigins = \"https://a.example\"\n", 5, "list");
+}
+
+TEST_F(RigConfigFile, SocketPageAndRecordingsAreBesideTheFile) {
+  const auto usual = read(kStudio);
+  ASSERT_TRUE(usual);
+  EXPECT_FALSE(usual->port) << "no TCP without being asked";
+  EXPECT_FALSE(usual->socket || usual->light_page);
+  EXPECT_EQ(usual->recordings, folder_.path() / "recordings");
+  const auto c = read(kStudio +
+                      "[http]\nsocket = \"a.sock\"\n[output]\nlight_page = \"\"\n"
+                      "recordings = \"/tmp/out\"\n");
+  ASSERT_TRUE(c) << c.error().detail;
+  EXPECT_EQ(*c->socket, folder_.path() / "a.sock");
+  EXPECT_EQ(*c->light_page, "") << "none";
+  EXPECT_EQ(c->recordings, "/tmp/out");
 }
 
 TEST_F(RigConfigFile, KeysOfTheStudioAreRefusedBesideAnotherSource) {

@@ -14,7 +14,8 @@
 #include "runtime/pipeline/light_estimation_stage.h"
 #include "runtime/pipeline/runner.h"
 #include "runtime/shading/composite_stage.h"
-#include "service/http_api.h"
+#include "service/http/http_api.h"
+#include "tests/support/temp_folder.h"
 #include "tests/support/fake_camera.h"
 
 namespace penumbra::service {
@@ -111,7 +112,13 @@ TEST(UnpluggedCamera, ItsLightIsToldStaleAndFreshAgainWhenItIsBack) {
   if (!compose && compose.error().code == ErrorCode::kUnavailable)
     GTEST_SKIP() << "no OpenGL ES 3.1 here: " << compose.error().detail;
   constexpr double kStaleAfter_s = .4;
-  const auto api = HttpApi::start("127.0.0.1", 0, state, times, kStaleAfter_s);
+  const test::TempFolder folder;
+  SceneControl objects;
+  LiveRecording recording(folder.path());
+  HttpOptions options;
+  options.port = 0;
+  options.stale_after_s = kStaleAfter_s;
+  const auto api = HttpApi::start(options, {state, times, objects, recording});
   ASSERT_TRUE(api);
   std::atomic<bool> stop = false, over = false;
   Heard heard;

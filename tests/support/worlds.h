@@ -32,7 +32,7 @@ inline Result<runtime::PreparedScene> prepared(const runtime::Scene& scene, int 
   runtime::BakeSettings settings;
   settings.rays = settings.ground_rays = rays;
   const char* const bakes = std::getenv("PENUMBRA_TEST_BAKES");
-  settings.use_cache = bakes != nullptr;
+  settings.cache = bakes != nullptr ? runtime::BakeCache::kUsed : runtime::BakeCache::kNotUsed;
   if (bakes) ::setenv("XDG_CACHE_HOME", bakes, 1);
   return runtime::prepare(scene, settings,
                           [](const std::string&) { return std::function<void(double)>(); });

@@ -5,6 +5,7 @@
 #include <spdlog/spdlog.h>
 
 #include <cstdio>
+#include <cstdlib>
 #include <span>
 #include <string_view>
 
@@ -35,9 +36,16 @@ int run_program(int argc, char** argv, const std::string& name, const std::strin
                 const std::function<void(CLI::App&, Action&)>& add_commands,
                 std::span<const Sibling> siblings) {
   const auto logger = spdlog::stderr_color_mt(name);
-  logger->set_pattern("%^%l%$: %v");
-  set_log_sink([logger](LogLevel level, std::string_view line) {
-    logger->log(level == LogLevel::kInfo ? spdlog::level::info : spdlog::level::warn, "{}", line);
+  // The journal of systemd takes levels in front of a line, see sd-daemon(3).
+  const bool to_journal = std::getenv("JOURNAL_STREAM") != nullptr;
+  logger->set_pattern(to_journal ? "%v" : "%^%l%$: %v");
+  set_log_sink([logger, to_journal](LogLevel level, std::string_view line) {
+    const bool is_info = level == LogLevel::kInfo;
+    logger->log(is_info ? spdlog::level::info : spdlog::level::warn, "{}{}",
+                !to_journal ? ""
+                : is_info   ? "<6>"
+                            : "<4>",
+                line);
   });
   CLI::App app(description, name);
   app.set_version_flag("--version", name + " " + PENUMBRA_VERSION);

@@ -6,7 +6,7 @@
 #include "core/io/files.h"
 #include "core/threads/stop_signal.h"
 #include "runtime/pipeline/report.h"
-#include "service/recorder.h"
+#include "service/recording/recorder.h"
 #include "service/rig_config.h"
 #include "service/rig_source.h"
 #include "tools/common/command.h"

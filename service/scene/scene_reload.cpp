@@ -1,9 +1,10 @@
-#include "service/scene_reload.h"
+#include "service/scene/scene_reload.h"
 
 #include <algorithm>
 #include <cmath>
 #include <numbers>
 #include <optional>
+#include <utility>
 
 #include "core/io/log.h"
 
@@ -37,36 +38,51 @@ bool places_alike(const SceneObject& a, const SceneObject& b) {
   return a.position == b.position && a.rotation == b.rotation;
 }
 
-void apply(const SceneObject& at_first, const SceneObject* last, const SceneObject& now,
+// True where it has to be baked anew.
+bool apply(const SceneObject& shown, const SceneObject* last, const SceneObject& now,
            SceneControl& objects) {
   ObjectChange change;
-  const auto turn = turn_deg(at_first.rotation, now.rotation);
+  const auto turn = turn_deg(shown.rotation, now.rotation);
   if (!last || !places_alike(*last, now)) {
-    change.shift_m = now.position - at_first.position;
+    change.shift_m = now.position - shown.position;
     change.turn_deg = turn;
   }
   if (!last || last->visible != now.visible) change.visible = now.visible;
-  if (!turn || is_another_bake(at_first, now))
-    log_warning("{}: a change of more than place, turn and visibility takes a restart", now.name);
-  if (const auto done = objects.change(now.name, change); !done)
-    log_warning("{}: stays where it is: {} {}", now.name, done.error().where, done.error().detail);
+  if (!turn || is_another_bake(shown, now)) return true;
+  const auto done = objects.change(now.name, change);
+  if (done) return false;
+  // On another plane it is another object.
+  log_info("{}: {} {}: it is loaded anew", now.name, done.error().where, done.error().detail);
+  return true;
+}
+
+bool are_alike(const runtime::RealGeometry& a, const runtime::RealGeometry& b) {
+  const auto plane = [](const runtime::RealGeometry& g) {
+    return g.plane ? std::pair(g.plane->point, g.plane->normal)
+                   : std::pair(glm::dvec3(0), glm::dvec3(0));
+  };
+  return a.plane.has_value() == b.plane.has_value() && plane(a) == plane(b) && a.mesh == b.mesh &&
+         a.depth == b.depth && a.camera == b.camera && a.albedo == b.albedo &&
+         a.position == b.position && a.rotation == b.rotation && a.scale == b.scale;
 }
 
 }  // namespace
 
-void apply_scene(const runtime::Scene& at_first, const runtime::Scene& last,
-                 const runtime::Scene& now, SceneControl& objects) {
+bool apply_scene(const runtime::Scene& shown, const runtime::Scene& last, const runtime::Scene& now,
+                 SceneControl& objects) {
+  bool more =
+      !std::ranges::equal(last.real, now.real, are_alike) || last.lamps.size() != now.lamps.size();
   for (const SceneObject& o : now.objects) {
-    if (const SceneObject* const was = find(at_first, o.name))
-      apply(*was, find(last, o.name), o, objects);
-    else
-      log_warning("{}: an object that is new takes a restart", o.name);
+    const SceneObject* const was = find(shown, o.name);
+    more |= !was || apply(*was, find(last, o.name), o, objects);
   }
-  for (const SceneObject& o : at_first.objects) {
+  for (const SceneObject& o : shown.objects) {
     if (find(now, o.name) || !find(last, o.name)) continue;
     (void)objects.change(o.name, {.visible = false});  // it was there: nothing can fail
-    log_info("{}: is out of the scene file and hidden", o.name);
+    log_info("{}: is out of the scene file", o.name);
+    more = true;
   }
+  return more;
 }
 
 }  // namespace penumbra::service

@@ -1,4 +1,4 @@
-#include "service/recorder.h"
+#include "service/recording/recorder.h"
 
 #include <fmt/format.h>
 

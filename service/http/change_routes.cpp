@@ -1,0 +1,111 @@
+// What clients change: PATCH, POST, DELETE. Bodies are JSON and say so, which no foreign page can
+// send without being asked first.
+#include <fmt/format.h>
+
+#include "codec/codec.h"
+#include "codec/display.h"
+#include "service/http/internal/context.h"
+
+namespace penumbra::service {
+
+using httplib::Request;
+using httplib::Response;
+using nlohmann::json;
+
+namespace {
+
+// Answers itself where there is none.
+bool has_json(const Request& q, Response& r) {
+  if (q.get_header_value("Content-Type").starts_with("application/json")) return true;
+  reply(r, {{"error", "the body must be application/json"}}, 415);
+  return false;
+}
+
+// The one value that a body may hold; null where it is left out.
+Result<json> only_value(const std::string& body, const std::string& key) {
+  const json all = json::parse(body, nullptr, false);
+  if (!all.is_object()) return fail(ErrorCode::kInvalid, "the body", "is no JSON object");
+  for (const auto& item : all.items())
+    if (item.key() != key)
+      return fail(ErrorCode::kInvalid, item.key(), fmt::format("is no key here: {} is", key));
+  return all.value(key, json(nullptr));
+}
+
+void patch_object(HttpContext& context, const Request& q, Response& r) {
+  if (!has_json(q, r)) return;
+  const auto change = read_object_change(q.body);
+  if (!change) return refuse(r, change.error());
+  SceneControl& objects = context.sources.objects;
+  if (const auto done = objects.change(q.matches[1].str(), *change); !done)
+    return refuse(r, done.error());
+  reply(r, {{"objects", objects.objects()}});
+}
+
+void add_object(HttpContext& context, const Request& q, Response& r) {
+  if (!has_json(q, r)) return;
+  const auto object = read_new_object(q.body, context.options.assets);
+  if (!object) return refuse(r, object.error());
+  if (const auto added = context.sources.objects.add(*object); !added)
+    return refuse(r, added.error());
+  reply(r, {{"preparing", object->name}}, 202);
+}
+
+void change_budget(HttpContext& context, const Request& q, Response& r) {
+  if (!has_json(q, r)) return;
+  const auto value = only_value(q.body, "max_shadow_error");
+  if (!value) return refuse(r, value.error());
+  if (!value->is_number())
+    return refuse(r, {ErrorCode::kInvalid, "max_shadow_error", "is not a number"});
+  SceneControl& objects = context.sources.objects;
+  if (const auto done = objects.set_max_shadow_error(value->get<double>()); !done)
+    return refuse(r, done.error());
+  reply(r, {{"max_shadow_error", *objects.max_shadow_error()}});
+}
+
+void start_recording(HttpContext& context, const Request& q, Response& r) {
+  if (!has_json(q, r)) return;
+  const auto value = only_value(q.body, "file");
+  if (!value) return refuse(r, value.error());
+  if (!value->is_null() && !value->is_string())
+    return refuse(r, {ErrorCode::kInvalid, "file", "is not a text"});
+  const auto started =
+      context.sources.recording.start(value->is_string() ? value->get<std::string>() : "");
+  if (!started) return refuse(r, started.error());
+  reply(r, {{"file", *started}}, 201);
+}
+
+void take_snapshot(HttpContext& context, const Request& q, Response& r) {
+  if (!has_json(q, r)) return;
+  const auto s = context.sources.state.snapshot();
+  if (!s.frame) return reply(r, {{"error", "no frame has been composited yet"}}, 503);
+  const auto file = context.sources.recording.new_file("snapshot", ".png");
+  if (!file) return refuse(r, file.error());
+  if (const auto written = codec::write_frame(*file, codec::to_display(*s.frame)); !written)
+    return refuse(r, written.error());
+  reply(r, {{"file", file->filename().string()}}, 201);
+}
+
+}  // namespace
+
+void add_change_routes(httplib::Server& server, HttpContext& context) {
+  server.Patch("/v1/objects/(.+)",
+               [&](const Request& q, Response& r) { patch_object(context, q, r); });
+  server.Post("/v1/objects", [&](const Request& q, Response& r) { add_object(context, q, r); });
+  server.Delete("/v1/objects/(.+)", [&](const Request& q, Response& r) {
+    const std::string name = q.matches[1].str();
+    if (const auto gone = context.sources.objects.remove(name); !gone)
+      return refuse(r, gone.error());
+    reply(r, {{"removed", name}});
+  });
+  server.Patch("/v1/budget", [&](const Request& q, Response& r) { change_budget(context, q, r); });
+  server.Post("/v1/recording",
+              [&](const Request& q, Response& r) { start_recording(context, q, r); });
+  server.Delete("/v1/recording", [&](const Request&, Response& r) {
+    const auto stopped = context.sources.recording.stop();
+    if (!stopped) return refuse(r, stopped.error());
+    reply(r, to_json(*stopped));
+  });
+  server.Post("/v1/snapshot", [&](const Request& q, Response& r) { take_snapshot(context, q, r); });
+}
+
+}  // namespace penumbra::service

@@ -1,0 +1,108 @@
+#include <algorithm>
+
+#include "runtime/pipeline/report.h"
+#include "service/http/internal/context.h"
+
+namespace penumbra::service {
+
+using nlohmann::json;
+
+namespace {
+
+json to_json(const capture::CameraCounts& c) {
+  json out = {{"frames", c.frames},
+              {"lost", c.lost},
+              {"damaged", c.damaged},
+              {"rejected", c.rejected},
+              {"overrun", c.overrun},
+              {"reconnected", c.reconnected},
+              {"follows_exposure", !c.ignores_controls}};
+  out["delay_frames"] = c.delay_frames ? json(*c.delay_frames) : json(nullptr);
+  out["exposures_s"] = json::array();
+  out["gains"] = json::array();
+  for (const Exposure& e : c.exposures) {
+    out["exposures_s"].push_back(e.time.count());
+    out["gains"].push_back(e.gain.value());
+  }
+  if (c.light_error) out["light_error"] = *c.light_error;
+  return out;
+}
+
+json cameras_json(const PublishedState::Snapshot& s) {
+  json out = json::object();
+  for (const auto& [name, counts] : s.cameras) out[name] = to_json(counts);
+  return out;
+}
+
+json preparing_json(const PublishedState::Snapshot& s) {
+  json out = json::object();
+  for (const auto& [work, done] : s.preparing) out[work] = done;
+  return out;
+}
+
+}  // namespace
+
+json health_json(HttpContext& context) {
+  const auto s = context.sources.state.snapshot();
+  json body = {{"status", s.status(context.options.stale_after_s)},
+               {"frames", s.frames},
+               {"frame_rate_hz", s.frame_rate_hz},
+               {"dropped", runtime::to_json(s.overtaken)},
+               {"stages", context.stages.now()}};
+  if (!s.preparing.empty()) body["preparing"] = preparing_json(s);
+  if (!s.cameras.empty()) body["cameras"] = cameras_json(s);
+  if (json faults = context.sources.objects.faults(); !faults.empty()) body["faults"] = faults;
+  return body;
+}
+
+json light_json(const PublishedState::Snapshot& s, double stale_after_s) {
+  json body = runtime::to_json(s.light);
+  body["time_ns"] = s.light.time.value;
+  body["age_s"] = s.light_age_s();
+  body["valid"] = s.light.valid;
+  body["status"] = s.status(stale_after_s);
+  body["units"] =
+      "linear Rec.709, relative radiance; basis and index: real SH without Condon-Shortley "
+      "phase, l*l+l+m, z the pole of a y-up world";
+  return body;
+}
+
+json to_json(const LiveRecording::RecordingState& r) {
+  const auto sum = [](const std::vector<std::uint64_t>& of_cameras) {
+    std::uint64_t out = 0;
+    for (const std::uint64_t n : of_cameras) out += n;
+    return out;
+  };
+  json out = {{"file", r.file},
+              {"active", r.active},
+              {"frames", sum(r.counts.frames)},
+              {"dropped", sum(r.counts.dropped) + r.overrun},
+              {"bytes", r.counts.bytes},
+              {"seconds", r.counts.seconds}};
+  if (!r.error.empty()) out["error"] = r.error;
+  return out;
+}
+
+json state_json(HttpContext& context) {
+  const auto s = context.sources.state.snapshot();
+  json body = {{"status", s.status(context.options.stale_after_s)},
+               {"version", PENUMBRA_VERSION},
+               {"uptime_s", s.uptime_s},
+               {"frames", s.frames},
+               {"frame_rate_hz", s.frame_rate_hz},
+               {"view_rate_hz", s.view_rate_hz},
+               {"dropped", runtime::to_json(s.overtaken)},
+               {"stages", context.stages.now()},
+               {"preparing", preparing_json(s)},
+               {"cameras", cameras_json(s)},
+               {"faults", context.sources.objects.faults()},
+               {"objects", context.sources.objects.objects()}};
+  body["light"] = s.light.valid ? light_json(s, context.options.stale_after_s) : json(nullptr);
+  const auto budget = context.sources.objects.max_shadow_error();
+  body["budget"] = budget ? json{{"max_shadow_error", *budget}} : json(nullptr);
+  const auto recording = context.sources.recording.state();
+  body["recording"] = recording ? to_json(*recording) : json(nullptr);
+  return body;
+}
+
+}  // namespace penumbra::service

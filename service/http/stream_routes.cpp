@@ -1,0 +1,108 @@
+// What goes on until the client leaves: server-sent events and motion JPEG.
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <chrono>
+#include <thread>
+
+#include "service/http/internal/context.h"
+
+namespace penumbra::service {
+
+using httplib::Request;
+using httplib::Response;
+using Clock = std::chrono::steady_clock;
+
+namespace {
+
+constexpr const char* kBoundary = "penumbra-frame";
+
+// Its place among the streams; answers itself where there is none.
+bool take_place(HttpContext& context, Response& r) {
+  if (++context.streams <= HttpContext::kMaxStreams) return true;
+  --context.streams;
+  reply(
+      r,
+      {{"error", fmt::format("{} streams are open: no more are served", HttpContext::kMaxStreams)}},
+      503);
+  return false;
+}
+
+// A rate in hertz that a request asks for.
+Result<double> rate_of(const Request& q, double usual, double most) {
+  if (!q.has_param("rate_hz")) return usual;
+  const std::string text = q.get_param_value("rate_hz");
+  char* end = nullptr;
+  const double rate = std::strtod(text.c_str(), &end);
+  if (text.empty() || *end != '\0' || !(rate > 0 && rate <= most))
+    return fail(ErrorCode::kInvalid, "rate_hz", fmt::format("is not above 0 and at most {}", most));
+  return rate;
+}
+
+// False when the service stops first.
+bool wait_until(Clock::time_point due, const HttpContext& context) {
+  constexpr std::chrono::milliseconds kSlice(50);
+  while (!context.stopping && Clock::now() < due)
+    std::this_thread::sleep_until(std::min(due, Clock::now() + kSlice));
+  return !context.stopping;
+}
+
+void stream_events(HttpContext& context, const Request& q, Response& r) {
+  const auto rate = rate_of(q, 4, 30);
+  if (!rate) return refuse(r, rate.error());
+  if (!take_place(context, r)) return;
+  const auto period = std::chrono::duration_cast<Clock::duration>(Seconds(1 / *rate));
+  r.set_header("Cache-Control", "no-store");
+  r.set_chunked_content_provider(
+      "text/event-stream",
+      [&context, period, due = Clock::now()](std::size_t, httplib::DataSink& sink) mutable {
+        if (!wait_until(due, context)) return false;
+        due = std::max(due + period, Clock::now());
+        const std::string text =
+            "event: state\ndata: " +
+            state_json(context).dump(-1, ' ', false, nlohmann::json::error_handler_t::replace) +
+            "\n\n";
+        return sink.write(text.data(), text.size());
+      },
+      [&context](bool) { --context.streams; });
+}
+
+// The newest frame each time; a client that takes them slowly gets fewer.
+void stream_frames(HttpContext& context, const Request& q, Response& r) {
+  const auto rate = rate_of(q, 60, 240);
+  if (!rate) return refuse(r, rate.error());
+  if (!take_place(context, r)) return;
+  const auto period = std::chrono::duration_cast<Clock::duration>(Seconds(1 / *rate));
+  r.set_header("Cache-Control", "no-store");
+  r.set_chunked_content_provider(
+      fmt::format("multipart/x-mixed-replace; boundary={}", kBoundary),
+      [&context, period, shown = std::uint64_t{0}, due = Clock::now()](
+          std::size_t, httplib::DataSink& sink) mutable {
+        if (!wait_until(due, context)) return false;
+        due = std::max(due + period, Clock::now());
+        while (!context.sources.state.wait_beyond(shown, std::chrono::milliseconds(100)))
+          if (context.stopping || !sink.is_writable()) return false;
+        const auto s = context.sources.state.snapshot();
+        shown = s.frames;
+        if (!s.frame) return true;
+        const auto jpeg = context.jpeg.of(s.frame);
+        if (!jpeg) return false;
+        const std::string head = fmt::format(
+            "--{}\r\nContent-Type: image/jpeg\r\nContent-Length: {}\r\n"
+            "X-Timestamp: {:.6f}\r\n\r\n",
+            kBoundary, (*jpeg)->size(), static_cast<double>(s.now.value) * 1e-9);
+        return sink.write(head.data(), head.size()) &&
+               sink.write((*jpeg)->data(), (*jpeg)->size()) && sink.write("\r\n", 2);
+      },
+      [&context](bool) { --context.streams; });
+}
+
+}  // namespace
+
+void add_stream_routes(httplib::Server& server, HttpContext& context) {
+  server.Get("/v1/events", [&](const Request& q, Response& r) { stream_events(context, q, r); });
+  server.Get("/v1/frame.mjpeg",
+             [&](const Request& q, Response& r) { stream_frames(context, q, r); });
+}
+
+}  // namespace penumbra::service

@@ -1,0 +1,315 @@
+#include "service/scene/scene_control.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <cmath>
+#include <glm/gtc/quaternion.hpp>
+#include <iterator>
+#include <numbers>
+#include <span>
+#include <utility>
+#include <vector>
+
+#include "core/io/spelling.h"
+#include "runtime/pipeline/report.h"
+
+namespace penumbra::service {
+
+namespace {
+
+using nlohmann::json;
+namespace fs = std::filesystem;
+
+constexpr double kDegree = std::numbers::pi / 180;
+constexpr std::string_view kChangeKeys[] = {"position_m",  "turn_deg", "visible",
+                                            "clip_time_s", "speed",    "blend_weight"};
+
+Result<double> number(const json& value, const std::string& key) {
+  constexpr double kMost = 1e6;  // of metres, degrees, seconds
+  if (!value.is_number()) return fail(ErrorCode::kInvalid, key, "is not a number");
+  if (!(std::abs(value.get<double>()) <= kMost))
+    return fail(ErrorCode::kInvalid, key, "is not within -1000000..1000000");
+  return value.get<double>();
+}
+
+Result<glm::dvec3> position(const json& value, const std::string& key) {
+  if (!value.is_array() || value.size() != 3)
+    return fail(ErrorCode::kInvalid, key, "is not a list of three numbers");
+  glm::dvec3 out;
+  for (int i = 0; i < 3; ++i) {
+    PENUMBRA_ASSIGN(coordinate, number(value[static_cast<std::size_t>(i)], key));
+    out[i] = coordinate;
+  }
+  return out;
+}
+
+// A key that is none of those known.
+std::unexpected<Error> unknown(const std::string& key, std::span<const std::string_view> known) {
+  const auto near = nearest_word(key, known);
+  return fail(ErrorCode::kInvalid, key,
+              near ? fmt::format("is no key of an object: did you mean {}?", *near)
+                   : "is no key of an object");
+}
+
+Result<void> read_key(const std::string& key, const json& value, ObjectChange& out) {
+  if (key == "position_m") {
+    PENUMBRA_ASSIGN(p, position(value, key));
+    out.position_m = p;
+    return {};
+  }
+  if (key == "visible") {
+    if (!value.is_boolean()) return fail(ErrorCode::kInvalid, key, "is neither true nor false");
+    out.visible = value.get<bool>();
+    return {};
+  }
+  if (std::ranges::find(kChangeKeys, key) == std::end(kChangeKeys))
+    return unknown(key, kChangeKeys);
+  PENUMBRA_ASSIGN(n, number(value, key));
+  if (key == "turn_deg") out.turn_deg = n;
+  if (key == "clip_time_s") out.playback.clip_time_s = n;
+  if (key == "speed") out.playback.speed = n;
+  if (key == "blend_weight") out.playback.blend_weight = n;
+  return {};
+}
+
+constexpr std::string_view kNewKeys[] = {"name",   "asset",    "position_m", "turn_deg",
+                                         "size_m", "spin_rpm", "albedo",     "animation"};
+
+Result<std::string> text(const json& value, const std::string& key) {
+  constexpr std::size_t kLongest = 64;
+  if (!value.is_string()) return fail(ErrorCode::kInvalid, key, "is not a text");
+  const auto& out = value.get_ref<const std::string&>();
+  if (out.empty() || out.size() > kLongest)
+    return fail(ErrorCode::kInvalid, key, "is empty or longer than 64 bytes");
+  if (std::ranges::any_of(out, [](unsigned char c) { return c < 0x20 || c == 0x7f; }))
+    return fail(ErrorCode::kInvalid, key, "holds control characters");
+  return out;
+}
+
+Result<double> within(const json& value, const std::string& key, double low, double high) {
+  PENUMBRA_ASSIGN(n, number(value, key));
+  if (n < low || n > high)
+    return fail(ErrorCode::kInvalid, key, fmt::format("is not within {}..{}", low, high));
+  return n;
+}
+
+Result<void> read_key(const std::string& key, const json& value, runtime::SceneObject& out) {
+  if (key == "name" || key == "asset" || key == "animation") {
+    PENUMBRA_ASSIGN(word, text(value, key));
+    (key == "name" ? out.name : key == "asset" ? out.asset : out.animation) = word;
+  } else if (key == "position_m") {
+    PENUMBRA_ASSIGN(p, position(value, key));
+    out.position = p;
+  } else if (key == "albedo") {
+    PENUMBRA_ASSIGN(p, position(value, key));
+    if (std::min({p.x, p.y, p.z}) < 0 || std::max({p.x, p.y, p.z}) > 1)
+      return fail(ErrorCode::kInvalid, key, "is not within 0..1");
+    out.albedo = {static_cast<float>(p.x), static_cast<float>(p.y), static_cast<float>(p.z)};
+  } else if (key == "turn_deg") {
+    PENUMBRA_ASSIGN(n, number(value, key));
+    out.rotation = glm::angleAxis(n * kDegree, glm::dvec3(0, 1, 0));
+  } else if (key == "size_m") {
+    PENUMBRA_ASSIGN(n, within(value, key, .005, 100));
+    out.fit_size_m = n;
+  } else if (key == "spin_rpm") {
+    PENUMBRA_ASSIGN(n, within(value, key, -600, 600));
+    out.spin_rpm = n;
+  } else {
+    return unknown(key, kNewKeys);
+  }
+  return {};
+}
+
+// Never a path out of the folder, nor an address.
+Result<std::string> asset_file(const std::string& asset, const fs::path& assets) {
+  if (asset.starts_with("builtin:")) return asset;
+  std::error_code error;
+  const fs::path folder = fs::canonical(assets, error);
+  const auto outside = [&] {
+    return fail(ErrorCode::kInvalid, "asset",
+                "is neither built in nor a file in the folder of the scene");
+  };
+  if (error || assets.empty() || fs::path(asset).is_absolute()) return outside();
+  const fs::path file = fs::weakly_canonical(folder / asset, error);
+  if (error) return outside();
+  const auto inside = std::mismatch(folder.begin(), folder.end(), file.begin(), file.end());
+  if (inside.first != folder.end()) return outside();
+  if (!fs::is_regular_file(file, error))
+    return fail(ErrorCode::kNotFound, "asset", fmt::format("{} is not there", asset));
+  return file.string();
+}
+
+bool any(const runtime::ObjectPlayback& p) {
+  return p.clip_time_s || p.speed || p.blend_weight;
+}
+
+std::unexpected<Error> starting() {
+  return fail(ErrorCode::kUnavailable, "the service", "is still starting");
+}
+
+bool has_object(const runtime::Scene& scene, const std::string& name) {
+  return std::ranges::find(scene.objects, name, &runtime::SceneObject::name) != scene.objects.end();
+}
+
+json to_json(const glm::dvec3& v) {
+  return {v.x, v.y, v.z};
+}
+
+}  // namespace
+
+Result<ObjectChange> read_object_change(std::string_view text) {
+  const json body = json::parse(text, nullptr, false);
+  if (!body.is_object()) return fail(ErrorCode::kInvalid, "the body", "is no JSON object");
+  ObjectChange out;
+  for (const auto& [key, value] : body.items()) PENUMBRA_TRY(read_key(key, value, out));
+  return out;
+}
+
+Result<runtime::SceneObject> read_new_object(std::string_view text, const fs::path& assets) {
+  const json body = json::parse(text, nullptr, false);
+  if (!body.is_object()) return fail(ErrorCode::kInvalid, "the body", "is no JSON object");
+  runtime::SceneObject out;
+  out.place_on_floor = true;
+  for (const auto& [key, value] : body.items()) PENUMBRA_TRY(read_key(key, value, out));
+  if (out.name.empty()) return fail(ErrorCode::kInvalid, "name", "is missing");
+  if (out.asset.empty()) return fail(ErrorCode::kInvalid, "asset", "is missing");
+  PENUMBRA_ASSIGN(file, asset_file(out.asset, assets));
+  out.asset = file;
+  return out;
+}
+
+void SceneControl::attach(Pipeline* pipeline, SceneKeeper* keeper) {
+  const std::scoped_lock lock(mutex_);
+  pipeline_ = pipeline;
+  keeper_ = keeper;
+}
+
+void SceneControl::set_scene(const runtime::Scene& scene) {
+  const std::scoped_lock lock(mutex_);
+  scene_ = scene;
+}
+
+std::optional<runtime::ObjectState> SceneControl::find(std::string_view object) const {
+  if (!pipeline_) return std::nullopt;
+  std::vector<runtime::ObjectState> all = pipeline_->objects();
+  const auto found = std::ranges::find(all, object, &runtime::ObjectState::name);
+  return found == all.end() ? std::nullopt : std::optional(std::move(*found));
+}
+
+std::optional<runtime::ObjectState> SceneControl::state_of(std::string_view object) const {
+  const std::scoped_lock lock(mutex_);
+  return find(object);
+}
+
+Result<void> SceneControl::change(std::string_view object, const ObjectChange& change) {
+  const std::scoped_lock lock(mutex_);
+  if (!pipeline_) return starting();
+  const auto before = find(object);
+  runtime::ObjectPlace place = before ? before->place : runtime::ObjectPlace{};
+  if (change.position_m) place.position_m = *change.position_m;
+  if (change.shift_m && before) place.position_m = before->rest_position_m + *change.shift_m;
+  if (change.turn_deg) place.turn_rad = *change.turn_deg * kDegree;
+  const bool moves = change.position_m || change.shift_m || change.turn_deg || !before;
+  if (moves) PENUMBRA_TRY(pipeline_->move_object(object, place));
+  if (any(change.playback))
+    if (const auto played = pipeline_->play_object(object, change.playback); !played) {
+      if (moves) PENUMBRA_TRY(pipeline_->move_object(object, before->place));
+      return played;
+    }
+  return change.visible ? pipeline_->show_object(object, *change.visible) : Result<void>{};
+}
+
+Result<void> SceneControl::add(const runtime::SceneObject& object) {
+  const std::scoped_lock lock(mutex_);
+  if (!keeper_) return starting();
+  if (has_object(scene_, object.name))
+    return fail(ErrorCode::kInvalid, fmt::format("object \"{}\"", object.name),
+                "is in the scene already");
+  if (scene_.objects.size() >= kMaxObjects)
+    return fail(ErrorCode::kInvalid, "the scene",
+                fmt::format("has {} objects, and more are not taken", kMaxObjects));
+  scene_.objects.push_back(object);
+  keeper_->want(scene_);
+  return {};
+}
+
+void SceneControl::follow_file(const runtime::Scene& last, const runtime::Scene& now) {
+  const std::scoped_lock lock(mutex_);
+  runtime::Scene wanted = now;
+  // What clients took away stays away, and what they added stays.
+  std::erase_if(wanted.objects, [&](const auto& o) {
+    return has_object(last, o.name) && !has_object(scene_, o.name);
+  });
+  for (const runtime::SceneObject& o : scene_.objects)
+    if (!has_object(last, o.name) && !has_object(now, o.name)) wanted.objects.push_back(o);
+  scene_ = wanted;
+  if (keeper_) keeper_->want(std::move(wanted));
+}
+
+Result<void> SceneControl::remove(const std::string& object) {
+  const std::scoped_lock lock(mutex_);
+  if (!keeper_) return starting();
+  const bool shown = find(object).has_value();
+  if (shown) PENUMBRA_TRY(pipeline_->show_object(object, false));
+  if (std::erase_if(scene_.objects, [&](const auto& o) { return o.name == object; }) > 0)
+    keeper_->want(scene_);
+  else if (!shown)
+    return fail(ErrorCode::kNotFound, fmt::format("object \"{}\"", object), "is not in the scene");
+  return {};
+}
+
+Result<void> SceneControl::set_max_shadow_error(double error) {
+  const std::scoped_lock lock(mutex_);
+  if (!pipeline_) return starting();
+  return pipeline_->set_max_shadow_error(error);
+}
+
+std::optional<double> SceneControl::max_shadow_error() const {
+  const std::scoped_lock lock(mutex_);
+  return pipeline_ ? std::optional(pipeline_->max_shadow_error()) : std::nullopt;
+}
+
+json SceneControl::objects() const {
+  const std::scoped_lock lock(mutex_);
+  if (!pipeline_) return nullptr;
+  json out = json::array();
+  for (const runtime::ObjectState& o : pipeline_->objects())
+    out.push_back({{"name", o.name},
+                   {"position_m", to_json(o.place.position_m)},
+                   {"turn_deg", o.place.turn_rad / kDegree},
+                   {"visible", o.visible},
+                   {"plays", o.plays},
+                   {"speed", o.speed},
+                   {"normal", to_json(o.normal)},
+                   {"centre_m", to_json(o.centre_m)},
+                   {"radius_m", o.radius_m}});
+  return out;
+}
+
+json SceneControl::surroundings() const {
+  const std::scoped_lock lock(mutex_);
+  json planes = json::array(), lamps = json::array();
+  for (const runtime::RealGeometry& real : scene_.real)
+    if (real.plane)
+      planes.push_back(
+          {{"point_m", to_json(real.plane->point)}, {"normal", to_json(real.plane->normal)}});
+  for (std::size_t i = 0; i < scene_.lamps.size(); ++i) {
+    const shadows::Lamp& lamp = scene_.lamps[i];
+    lamps.push_back({{"name", fmt::format("lamp {}", i + 1)},
+                     {"position_m", to_json(glm::dvec3(lamp.position))},
+                     {"radius_m", lamp.radius_m},
+                     {"irradiance_at_1m", runtime::to_json(lamp.irradiance_at_1m)}});
+  }
+  return {{"planes", planes}, {"lamps", lamps}};
+}
+
+json SceneControl::faults() const {
+  const std::scoped_lock lock(mutex_);
+  json out = json::object();
+  if (keeper_)
+    for (const auto& [object, reason] : keeper_->faults()) out[object] = reason;
+  return out;
+}
+
+}  // namespace penumbra::service

@@ -1,0 +1,85 @@
+// What clients see and change of the scene of a running pipeline.
+// threads: thread-safe
+#pragma once
+
+#include <filesystem>
+#include <glm/vec3.hpp>
+#include <mutex>
+#include <nlohmann/json.hpp>
+#include <optional>
+#include <string>
+#include <string_view>
+
+#include "core/result.h"
+#include "runtime/pipeline/pipeline.h"
+#include "runtime/scene/scene.h"
+#include "runtime/shading/object_moves.h"
+#include "service/scene/scene_keeper.h"
+
+namespace penumbra::service {
+
+/// What is not given stays as it is.
+struct ObjectChange {
+  std::optional<glm::dvec3> position_m{};  // on the plane that the object stands on
+  std::optional<glm::dvec3> shift_m{};     // or so far from where the scene has it
+  std::optional<double> turn_deg{};        // about the plane's normal, from how the scene has it
+  std::optional<bool> visible{};
+  runtime::ObjectPlayback playback{};
+};
+/// errors: kInvalid (no JSON object, an unknown key with the nearest known one, a value of another
+///         type)
+Result<ObjectChange> read_object_change(std::string_view json);
+
+/// An object that a client adds, on the plane under its place.
+/// assets: the folder that files are taken from; empty: built-in ones alone
+/// errors: kInvalid (as read_object_change; a name that is missing or longer than 64 bytes; a file
+///         outside of the folder), kNotFound (no such file)
+Result<runtime::SceneObject> read_new_object(std::string_view json,
+                                             const std::filesystem::path& assets);
+
+/// threads: thread-safe
+class SceneControl {
+ public:
+  static constexpr std::size_t kMaxObjects = 64;
+
+  /// From now on changes go to them, until others or none come. Both outlive that.
+  void attach(Pipeline* pipeline, SceneKeeper* keeper);
+  /// The scene that additions and removals start from.
+  void set_scene(const runtime::Scene& scene);
+
+  /// In effect with the next frame. One that is refused changes nothing.
+  /// errors: kUnavailable (no pipeline yet), kNotFound (no such object), kNonFinite, kInvalid (off
+  ///         its plane, nothing to play)
+  Result<void> change(std::string_view object, const ObjectChange& change);
+  /// There as soon as it is baked.
+  /// errors: kUnavailable (no pipeline yet), kInvalid (the name is taken, too many objects)
+  Result<void> add(const runtime::SceneObject& object);
+  /// Out of the picture with the next frame, and then out of the scene.
+  /// errors: kUnavailable (no pipeline yet), kNotFound (no such object)
+  Result<void> remove(const std::string& object);
+  /// The scene's file was read anew. What it no longer has goes, what it has now comes, and what
+  /// clients added or took away stays so.
+  void follow_file(const runtime::Scene& last, const runtime::Scene& now);
+  /// errors: kUnavailable (no pipeline yet), kInvalid (not above 0 and at most 1)
+  Result<void> set_max_shadow_error(double error);
+
+  /// By object: name, position_m, turn_deg, visible, plays, speed, normal, centre_m,
+  /// radius_m. Null before
+  /// there is a pipeline.
+  nlohmann::json objects() const;
+  /// Planes and lamps.
+  nlohmann::json surroundings() const;
+  /// By object, why it is not there.
+  nlohmann::json faults() const;
+  std::optional<double> max_shadow_error() const;
+  std::optional<runtime::ObjectState> state_of(std::string_view object) const;
+
+ private:
+  std::optional<runtime::ObjectState> find(std::string_view object) const;  // in the lock
+  mutable std::mutex mutex_;
+  Pipeline* pipeline_ = nullptr;  // guarded by mutex_, as are all below
+  SceneKeeper* keeper_ = nullptr;
+  runtime::Scene scene_;  // as it is wanted
+};
+
+}  // namespace penumbra::service
