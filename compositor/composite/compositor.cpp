@@ -265,6 +265,10 @@ Result<void> Compositor::draw(const View& view, const FramePixels& frame, Drawn&
   return {};
 }
 
+void Compositor::release() {
+  impl_->context->release();
+}
+
 bool Compositor::has_window() const {
   return impl_->context->has_window();
 }

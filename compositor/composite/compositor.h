@@ -114,6 +114,8 @@ class Compositor {
   /// in, errors: as composite
   Result<void> draw(const View& view, const FramePixels& frame, Drawn& out);
 
+  /// From then on another thread may use it, the only one then.
+  void release();
   bool has_window() const;
   /// Shows an 8-bit picture; nothing without a window. False when the user has closed the window.
   bool present(const Image<Rgb8>& picture);

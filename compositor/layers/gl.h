@@ -89,6 +89,8 @@ class GlContext {
   virtual bool has_window() const = 0;
   /// On the calling thread; cheap when it is already.
   virtual void make_current() = 0;
+  /// From then on another thread may make it current.
+  virtual void release() = 0;
   /// Swaps and polls; false when the window was closed.
   virtual bool show() = 0;
   /// Size of the window's framebuffer in pixels.

@@ -25,6 +25,10 @@ class OffscreenContext final : public GlContext {
     if (eglGetCurrentContext() == context_) return;
     eglMakeCurrent(display_, EGL_NO_SURFACE, EGL_NO_SURFACE, context_);
   }
+  void release() override {
+    if (eglGetCurrentContext() == context_)
+      eglMakeCurrent(display_, EGL_NO_SURFACE, EGL_NO_SURFACE, EGL_NO_CONTEXT);
+  }
   bool show() override { return true; }
   std::pair<int, int> size() const override { return {0, 0}; }
 

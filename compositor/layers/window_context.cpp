@@ -31,6 +31,9 @@ class WindowContext final : public GlContext {
   void make_current() override {
     if (glfwGetCurrentContext() != window_) glfwMakeContextCurrent(window_);
   }
+  void release() override {
+    if (glfwGetCurrentContext() == window_) glfwMakeContextCurrent(nullptr);
+  }
   bool show() override {
     glfwSwapBuffers(window_);
     wheel_ = 0;

@@ -3,6 +3,7 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <atomic>
 #include <cstdlib>
 #include <mutex>
 #include <utility>
@@ -68,7 +69,14 @@ struct Pipeline::Impl {
   lighting::LightEstimate estimate;
   LightWatch watch;
   std::function<void()> turn;
-  Latest<std::shared_ptr<runtime::PreparedScene>> next_scene;
+  struct NextStage {
+    std::shared_ptr<const runtime::PreparedScene> scene;
+    std::unique_ptr<runtime::CompositeStage> stage;
+  };
+  Latest<NextStage> next_stage;
+  std::atomic<bool> live = false;
+  std::mutex light_mutex;
+  lighting::LightEstimate newest_light;  // guarded by light_mutex
   Latest<lighting::GovernorConfig> next_governor;
   std::mutex governor_mutex;
   lighting::GovernorConfig governor;  // the newest; guarded by governor_mutex
@@ -79,8 +87,9 @@ struct Pipeline::Impl {
                                            options.sampling);
   }
   Result<lighting::GovernorConfig> make_governor(const runtime::PreparedScene& of) const;
+  Result<NextStage> prepare_next(std::shared_ptr<runtime::PreparedScene> next);
   // On the compositing thread.
-  runtime::CompositeStage* take_next_scene();
+  runtime::CompositeStage* take_next_stage();
 
   // A frame of a camera that the pipeline was made for; its size is the stages' business.
   Result<void> check(const capture::Frame& frame) const {
@@ -113,22 +122,38 @@ Result<lighting::GovernorConfig> Pipeline::Impl::make_governor(
       of, {options.max_shadow_error, options.bands, options.max_lights}, costs);
 }
 
-runtime::CompositeStage* Pipeline::Impl::take_next_scene() {
-  const auto next = next_scene.take();
-  if (!next) return nullptr;
-  auto stage = make_stage(**next, Compositor::Surface::kOffscreen);
-  if (!stage) {
-    log_warning("the scene stays as it was: {} {}", stage.error().where, stage.error().detail);
-    return nullptr;
-  }
-  runtime::drop_coefficients(**next);
-  (*stage)->moves().go_on_from(composite->moves());
+// Up to the first picture: what is drawn and shaded first takes longest.
+Result<Pipeline::Impl::NextStage> Pipeline::Impl::prepare_next(
+    std::shared_ptr<runtime::PreparedScene> next) {
+  PENUMBRA_ASSIGN(stage, make_stage(*next, Compositor::Surface::kOffscreen));
+  runtime::drop_coefficients(*next);
+  double now_s = 0;
   {
     const std::scoped_lock lock(stage_mutex);
-    std::swap(composite, *stage);
+    stage->moves().go_on_from(composite->moves());
+    now_s = composite->moves().now_s();
   }
-  stage->reset();  // refers to the scene before
-  scene = *next;
+  stage->warm_up();
+  if (live) stage->keep_time();
+  const lighting::LightEstimate newest = [&] {
+    const std::scoped_lock lock(light_mutex);
+    return newest_light;
+  }();
+  if (newest.valid) stage->shade(newest, now_s);
+  stage->release();
+  return NextStage{std::move(next), std::move(stage)};
+}
+
+runtime::CompositeStage* Pipeline::Impl::take_next_stage() {
+  auto next = next_stage.take();
+  if (!next) return nullptr;
+  next->stage->moves().go_on_from(composite->moves());
+  {
+    const std::scoped_lock lock(stage_mutex);
+    std::swap(composite, next->stage);
+  }
+  next->stage.reset();  // refers to the scene before
+  scene = next->scene;
   return composite.get();
 }
 
@@ -219,7 +244,7 @@ void Pipeline::set_light(const lighting::LightEstimate& light) {
 
 Result<runtime::Composited> Pipeline::composite(const capture::Frame& view) {
   PENUMBRA_TRY(impl_->check(view));
-  (void)impl_->take_next_scene();
+  (void)impl_->take_next_stage();
   if (impl_->cameras[static_cast<std::size_t>(view.camera)].role != capture::Role::kView)
     return fail(ErrorCode::kInvalid, "frame", "does not belong to a view camera");
   runtime::Composited out;
@@ -281,7 +306,9 @@ Result<void> Pipeline::change_scene(runtime::PreparedScene scene) {
     impl_->governor = config;
     impl_->next_governor.put(config);
   }
-  impl_->next_scene.put(std::make_shared<runtime::PreparedScene>(std::move(scene)));
+  PENUMBRA_ASSIGN(next,
+                  impl_->prepare_next(std::make_shared<runtime::PreparedScene>(std::move(scene))));
+  impl_->next_stage.put(std::move(next));
   return {};
 }
 
@@ -322,13 +349,17 @@ Result<runtime::RunCounts> Pipeline::run_live(capture::FrameSource& source,
   PENUMBRA_TRY(impl_->check(source));
   runtime::LiveChanges changes;
   changes.turn = impl_->turn;
-  changes.stage_waits = [this] { return impl_->next_scene.waiting(); };
-  changes.take_stage = [this] { return impl_->take_next_scene(); };
+  changes.stage_waits = [this] { return impl_->next_stage.waiting(); };
+  changes.take_stage = [this] { return impl_->take_next_stage(); };
   changes.take_governor = [this] { return impl_->next_governor.take(); };
-  if (impl_->watch)
-    changes.on_light = [this](const auto& stage, const auto& light) {
-      impl_->watch(stage.environment(), light);
-    };
+  changes.on_light = [this](const auto& stage, const auto& light) {
+    {
+      const std::scoped_lock lock(impl_->light_mutex);
+      impl_->newest_light = light;
+    }
+    if (impl_->watch) impl_->watch(stage.environment(), light);
+  };
+  impl_->live = true;
   return runtime::run_live(source, *impl_->light, *impl_->composite, sink, *impl_->times, stop,
                            changes);
 }

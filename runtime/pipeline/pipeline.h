@@ -110,12 +110,12 @@ class Pipeline {
   std::vector<runtime::ObjectState> objects() const;
   /// Another scene in the place of this one, from one of the next frames on: objects are added,
   /// taken away, or baked more finely. Those that stay, by name, stay where they are and go on with
-  /// what they do, and so does the light. The frame that takes it up comes later by what making it
-  /// takes (docs/results.md). Of two that come between two frames the newer one counts.
+  /// what they do, and so does the light. All that is slow is done here, on the caller's thread,
+  /// while the pipeline goes on. Of two that come between two frames the newer one counts.
   /// in: loaded by runtime::prepare and no other pipeline's; the sun is that of the first scene
   /// threads: any, also during a run
-  /// errors: kUnavailable (a pipeline with a window keeps its scene); what fails as it is taken up
-  ///         goes to the log, and the scene before it stays
+  /// errors: kUnavailable (a pipeline with a window keeps its scene; OpenGL ES, Embree); the scene
+  ///         before it stays
   Result<void> change_scene(runtime::PreparedScene scene);
 
   /// The error that the governor keeps to, from the next light on.

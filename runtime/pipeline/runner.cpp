@@ -298,11 +298,7 @@ class LiveFrames {
       : compose_(&compose), sink_(sink), counts_(counts) {}
 
   /// in: the last frame of the one before is finished
-  void go_on_with(CompositeStage& compose) {
-    compose_ = &compose;
-    compose.warm_up();
-    compose.keep_time();
-  }
+  void go_on_with(CompositeStage& compose) { compose_ = &compose; }
   CompositeStage& stage() { return *compose_; }
   bool go_on() const { return go_on_; }
   /// The last add() took so long, without the sink.
@@ -392,7 +388,8 @@ Result<RunCounts> run_live(capture::FrameSource& source, LightEstimationStage& l
   RunCounts counts;
   Result<void> composed;
   LiveFrames frames(compose, sink, counts);
-  frames.go_on_with(compose);
+  compose.warm_up();
+  compose.keep_time();
   const auto start = Clock::now();
   {
     const std::jthread producer([&] { produce(live, source, light, times, stop); });

@@ -24,7 +24,7 @@ struct LiveChanges {
   // There as well, before each frame; the second only after the first said so. What was drawn with
   // the stage before has been handed out by then.
   std::function<bool()> stage_waits;
-  std::function<CompositeStage*()> take_stage;  // null: the one before goes on
+  std::function<CompositeStage*()> take_stage;  // warm, keeping time; null: the one before goes on
   // On the light's thread, before and after each environment frame
   std::function<std::optional<lighting::GovernorConfig>()> take_governor;
   std::function<void(const LightEstimationStage&, const lighting::LightEstimate&)> on_light;

@@ -103,6 +103,8 @@ class CompositeStage {
   Result<void> draw(const capture::Frame& frame, const lighting::LightEstimate& light,
                     PendingFrame& out);
   compositor::Compositor& output() { return *compositor_; }
+  /// From then on another thread may use it, the only one then.
+  void release() { compositor_->release(); }
   /// Where objects are put from the next frame on.
   ObjectMoves& moves() { return moves_; }
   /// What sources of `light` that are saturated in every exposure really send, where this frame can

@@ -251,6 +251,11 @@ Pose ObjectMoves::placed(std::size_t object, double seconds, double turntable_s)
   return pose_at(object, place_at(object, seconds), turntable_s);
 }
 
+double ObjectMoves::now_s() const {
+  const std::scoped_lock lock(mutex_);
+  return now_s_;
+}
+
 std::vector<ObjectState> ObjectMoves::states() const {
   const std::scoped_lock lock(mutex_);
   std::vector<ObjectState> out;

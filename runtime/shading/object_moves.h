@@ -89,6 +89,8 @@ class ObjectMoves {
   };
   /// A playback that was asked for begins with the first time it is asked after.
   ObjectNow at(std::size_t object, double seconds);
+  /// The time that at() was last asked for.
+  double now_s() const;
   /// As at() last gave them, with what was asked for since.
   std::vector<ObjectState> states() const;
   /// Objects that were there before, by name, stay where they are and go on with what they do.
