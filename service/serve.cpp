@@ -1,5 +1,7 @@
 #include "service/serve.h"
 
+#include <malloc.h>
+
 #include <atomic>
 #include <chrono>
 #include <csignal>
@@ -214,6 +216,7 @@ Result<void> Service::compose(capture::FrameSource& source, const std::atomic<bo
                      [&](const runtime::Scene& scene, runtime::PreparedScene prepared) {
                        if (const auto taken = pipeline.change_scene(std::move(prepared)); !taken)
                          log_warning("{}: {}", taken.error().where, taken.error().detail);
+                       ::malloc_trim(0);  // what a bake and the scene before took
                        const std::scoped_lock lock(scenes_mutex_);
                        shown_ = scene;
                      });
@@ -272,10 +275,16 @@ Result<void> Service::run() {
 
 Result<void> serve(const ServeOptions& o, const ProgressOf& progress) {
   constexpr double kBetweenSameLines_s = 10;
+  // What a bake takes goes back to the system; pictures of a frame do not, each time.
+  constexpr int kLarge_bytes = 16 << 20, kArenas = 4;
+  ::mallopt(M_MMAP_THRESHOLD, kLarge_bytes);
+  ::mallopt(M_ARENA_MAX, kArenas);
   limit_log_rate(kBetweenSameLines_s);
   PENUMBRA_ASSIGN(config, read_rig_config(o.config));
   std::signal(SIGHUP, SIG_IGN);  // until there is something to reload
   std::signal(SIGUSR1, SIG_IGN);
+  std::signal(SIGPIPE, SIG_IGN);  // a client or a reader that left, and
+  std::signal(SIGXFSZ, SIG_IGN);  // a file that may not grow, are errors where they are met
   return Service(config, progress).run();
 }
 

@@ -1,0 +1,273 @@
+#!/usr/bin/env python3
+"""What may happen to a service that people leave running: service_faults_test.py DAEMON [CLASS...]"""
+
+import json
+import os
+import random
+import re
+import resource
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+import urllib.error
+import urllib.request
+
+import cli_files as files
+from cli_case import PATIENCE, CliTest, main, program
+
+
+class Daemon:
+    """One that runs, with the lines that it writes."""
+
+    def __init__(self, rig, environment, limits=()):
+        def set_limits():
+            for which, value in limits:
+                resource.setrlimit(which, (value, value))
+
+        self.lines = []
+        self.process = subprocess.Popen([program(), "--config", str(rig)], env=environment, text=True,
+                                        stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, preexec_fn=set_limits)
+        self.listens = threading.Event()
+        self.reader = threading.Thread(target=self.read)
+        self.reader.start()
+        self.listens.wait(120 * PATIENCE)
+        found = re.search(r"listening on http://127\.0\.0\.1:(\d+)", self.said())
+        self.port = int(found.group(1)) if found else 0
+
+    def read(self):
+        for line in self.process.stderr:
+            self.lines.append(line)
+            if "listening on http" in line:
+                self.listens.set()
+        self.listens.set()
+
+    def said(self):
+        return "".join(self.lines)
+
+    def end(self, how=signal.SIGKILL):
+        if self.process.poll() is None:
+            self.process.send_signal(how)
+        code = self.process.wait(timeout=60 * PATIENCE)
+        self.reader.join()
+        self.process.stderr.close()
+        return code
+
+    def ask(self, path, method="GET", body=None, timeout=20 * PATIENCE):
+        """(status, body)"""
+        data = None if body is None else json.dumps(body).encode()
+        request = urllib.request.Request(f"http://127.0.0.1:{self.port}{path}", data=data, method=method,
+                                         headers={"Content-Type": "application/json"})
+        try:
+            with urllib.request.urlopen(request, timeout=timeout) as reply:
+                return reply.status, reply.read()
+        except urllib.error.HTTPError as e:
+            with e:
+                return e.code, e.read()
+
+    def health(self):
+        return json.loads(self.ask("/healthz")[1])
+
+    def counts(self):
+        """Threads, open files, resident kilobytes."""
+        folder = f"/proc/{self.process.pid}"
+        with open(f"{folder}/status", encoding="utf-8") as status:
+            resident = int(re.search(r"VmRSS:\s+(\d+)", status.read()).group(1))
+        return len(os.listdir(f"{folder}/task")), len(os.listdir(f"{folder}/fd")), resident
+
+
+class Faults(CliTest):
+    @classmethod
+    def make_files(cls):
+        files.write_scene(cls.root)
+        files.write_hdr(cls.root / "even.hdr", 64, 32, (1.0, 0.5, 0.25))
+        cls.rig = cls.root / "rig.toml"
+        cls.rig.write_text(
+            'version = 1\n[capture]\nsource = "studio"\nenvironment = "even.hdr"\nwidth = 128\nheight = 96\n'
+            '[scene]\nfile = "scene.toml"\n[light]\nbands = 2\nstale_after_s = 2\n[http]\nport = 0\n'
+            'socket = "http.sock"\n[output]\nlight_page = "light"\n')
+
+    def start(self, environment=None, limits=(), rig=None):
+        daemon = Daemon(rig or self.rig, environment or self.environment, limits)
+        self.addCleanup(daemon.end)
+        if not daemon.port and re.search(r"EGL|OpenGL ES", daemon.said()):
+            self.skipTest("no OpenGL ES 3.1: " + daemon.said().strip())
+        return daemon
+
+    def wait_for(self, daemon, what, true, seconds=120):
+        end = time.monotonic() + seconds * PATIENCE
+        while time.monotonic() < end:
+            self.assertIsNone(daemon.process.poll(), f"ended: {what}\n{daemon.said()}")
+            try:
+                if true():
+                    return
+            except OSError:
+                pass  # of a connection
+            time.sleep(.1)
+        self.fail(f"{what}\n{daemon.said()}")
+
+    def started(self, **keywords):
+        daemon = self.start(**keywords)
+        self.assertTrue(daemon.port, daemon.said())
+        self.wait_until_ok(daemon)
+        return daemon
+
+    def wait_until_ok(self, daemon):
+        self.wait_for(daemon, "never ok", lambda: daemon.health()["status"] in ("ok", "slow"))
+
+    def connected(self, daemon):
+        return socket.create_connection(("127.0.0.1", daemon.port), timeout=10)
+
+    def test_idle_slow_and_hostile_clients_hold_nobody_up(self):
+        daemon = self.started()
+        idle = [self.connected(daemon) for _ in range(200)]
+        slow = []
+        for _ in range(30):
+            client = self.connected(daemon)
+            client.send(b"GET /healthz HTT")
+            slow.append(client)
+        begun = time.monotonic()
+        self.wait_until_ok(daemon)
+        self.assertLess(time.monotonic() - begun, 10 * PATIENCE)  # a client may keep a worker for 5 s
+        for client in idle + slow:
+            client.close()
+        generator = random.Random(7)
+        for i in range(300):
+            noise = generator.randbytes(generator.randrange(1, 3000))
+            begin = (b"", b"GET ", b"GET /v1/light?as=", b"PATCH /v1/objects/cube HTTP/1.1\r\nContent-Length: 9\r\n",
+                     b"POST /v1/objects HTTP/1.1\r\nContent-Type: application/json\r\nContent-Length: 3000\r\n\r\n",
+                     b"GET /v1/events?rate_hz=30 HTTP/1.1\r\n\r\n", b"GET / HTTP/1.1\r\nHost: localhost\r\nX: ")[i % 7]
+            with self.connected(daemon) as client:
+                try:
+                    client.sendall(begin + noise)
+                except OSError:
+                    pass  # it hung up
+        self.wait_until_ok(daemon)
+        threads, opened, _ = daemon.counts()
+        self.assertLess(opened, 200, "descriptors stay open")
+        self.assertLess(threads, 400)
+        self.assertEqual(daemon.end(signal.SIGTERM), 0, daemon.said())
+
+    def test_it_goes_on_after_having_been_stopped(self):
+        daemon = self.started()
+        daemon.process.send_signal(signal.SIGSTOP)
+        time.sleep(4)
+        daemon.process.send_signal(signal.SIGCONT)
+        self.wait_until_ok(daemon)
+        before = daemon.health()["frames"]
+        self.wait_for(daemon, "no more frames", lambda: daemon.health()["frames"] > before + 10)
+        light = json.loads(daemon.ask("/v1/light")[1])
+        self.assertTrue(0 <= light["age_s"] < 2, light["age_s"])
+
+    def test_it_outlives_a_lack_of_descriptors(self):
+        daemon = self.started(limits=[(resource.RLIMIT_NOFILE, 96)])
+        clients = []
+        try:
+            for _ in range(200):
+                clients.append(self.connected(daemon))
+        except OSError:
+            pass  # no more are taken
+        time.sleep(1)
+        self.assertIsNone(daemon.process.poll(), daemon.said())
+        for client in clients:
+            client.close()
+        self.wait_until_ok(daemon)
+
+    def test_a_full_disk_ends_the_recording_alone(self):
+        daemon = self.started(limits=[(resource.RLIMIT_FSIZE, 1_500_000)])
+        status, body = daemon.ask("/v1/recording", "POST", {"file": "full.mkv"})
+        self.assertEqual(status, 201, body)
+        self.wait_for(daemon, "the recording goes on",
+                      lambda: not json.loads(daemon.ask("/v1/state")[1])["recording"]["active"])
+        recording = json.loads(daemon.ask("/v1/state")[1])["recording"]
+        self.assertRegex(recording["error"], r"full\.mkv.*(large|space|limit)")
+        self.wait_until_ok(daemon)
+        self.assertEqual(daemon.ask("/v1/recording", "DELETE")[0], 404)
+
+    def test_killed_at_any_moment_it_leaves_what_can_be_read_and_comes_back(self):
+        generator = random.Random(11)
+        for i in range(4):
+            daemon = self.start()
+            self.assertTrue(daemon.port, daemon.said())
+            name = f"killed{i}.mkv"
+            self.wait_for(daemon, "no recording",
+                          lambda d=daemon, n=name: d.ask("/v1/recording", "POST", {"file": n})[0] == 201)
+            time.sleep(generator.uniform(.5, 3))
+            daemon.end(signal.SIGKILL)
+            file = self.root / "recordings" / name
+            if file.exists() and file.stat().st_size > 0:
+                done = subprocess.run([program().replace("penumbrad", "penumbra"), "inspect", str(file), "--json"],
+                                      env=self.environment, capture_output=True, text=True, check=False)
+                said = done.stdout + done.stderr
+                self.assertTrue(done.returncode == 0 or "penumbra: " in done.stderr, said)
+                if file.stat().st_size > 200_000:
+                    self.assertEqual(done.returncode, 0, said)
+        daemon = self.started()  # takes over socket, page and cache
+        self.assertTrue((self.root / "http.sock").exists())
+        self.assertNotIn("warning", daemon.said())
+        self.assertEqual(daemon.end(signal.SIGTERM), 0)
+        self.assertFalse((self.root / "http.sock").exists())
+        self.assertFalse((self.root / "light").exists())
+
+    def test_a_cache_that_is_damaged_or_not_there_costs_time_alone(self):
+        daemon = self.started()
+        self.wait_for(daemon, "never baked", lambda: "preparing" not in daemon.health() and
+                      json.loads(daemon.ask("/v1/objects")[1])["objects"])
+        self.assertEqual(daemon.end(signal.SIGTERM), 0, daemon.said())
+        cache = self.root / "cache" / "penumbra"
+        baked = list(cache.glob("*.glb"))
+        self.assertTrue(baked)
+        generator = random.Random(3)
+        for file in baked:
+            data = bytearray(file.read_bytes())
+            for _ in range(50):
+                data[generator.randrange(len(data))] = generator.randrange(256)
+            file.write_bytes(data[:len(data) * 3 // 4])
+        for folder in (self.root / "cache", "/proc/nowhere"):
+            daemon = self.started(environment=dict(self.environment, XDG_CACHE_HOME=str(folder)))
+            self.wait_for(daemon, "no object",
+                          lambda d=daemon: json.loads(d.ask("/v1/objects")[1])["objects"])
+            self.assertIn(daemon.end(signal.SIGTERM), (0,), daemon.said())
+
+    def test_two_do_not_share_what_only_one_can_have(self):
+        first = self.started()
+        second = self.start()
+        self.assertEqual(second.process.wait(timeout=60 * PATIENCE), 2)
+        self.assertRegex(second.said(), r"http\.sock.*another service")
+        # What was not asked for may be missing.
+        runtime = self.root / "runtime"
+        runtime.mkdir()
+        rig = self.root / "usual.toml"
+        rig.write_text(self.rig.read_text().split("socket")[0])
+        environment = dict(self.environment, XDG_RUNTIME_DIR=str(runtime))
+        third, fourth = (self.started(environment=environment, rig=rig) for _ in range(2))
+        self.assertTrue((runtime / "penumbra" / "light").exists())
+        self.assertRegex(fourth.said(), r"goes without it")
+        self.assertNotIn("goes without", third.said())
+        self.assertEqual(first.ask("/v1/light")[0], 200)
+
+    def test_objects_that_come_and_go_leave_nothing_behind(self):
+        daemon = self.started()
+        settled = lambda: "preparing" not in daemon.health()  # noqa: E731
+        self.wait_for(daemon, "never baked", settled)
+        sizes = []
+        for i in range(7):
+            status, body = daemon.ask("/v1/objects", "POST", {"name": "more", "asset": "builtin:box", "size_m": .2,
+                                                              "position_m": [-.4, 0, 0]})
+            self.assertEqual(status, 202, body)
+            objects = lambda: [o["name"] for o in json.loads(daemon.ask("/v1/objects")[1])["objects"]]  # noqa: E731
+            self.wait_for(daemon, "not there", lambda: "more" in objects())
+            self.assertEqual(daemon.ask("/v1/objects/more", "DELETE")[0], 200)
+            self.wait_for(daemon, "still there", lambda: "more" not in objects() and settled())
+            if i >= 2:
+                sizes.append(daemon.counts())
+        threads, opened, resident = zip(*sizes)
+        self.assertLessEqual(max(threads) - min(threads), 8)
+        self.assertLessEqual(opened[-1], opened[0] + 4)
+        self.assertLess(resident[-1], 1.1 * resident[0] + 8000, f"{resident} kB")
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.modules[__name__]))
