@@ -2,6 +2,8 @@
 // send without being asked first.
 #include <fmt/format.h>
 
+#include <cstdlib>
+
 #include "codec/codec.h"
 #include "codec/display.h"
 #include "service/http/internal/context.h"
@@ -50,6 +52,27 @@ void add_object(HttpContext& context, const Request& q, Response& r) {
   reply(r, {{"preparing", object->name}}, 202);
 }
 
+// A number of a path; more than there can be where it is none.
+std::size_t number_in(const Request& q) {
+  const std::string text = q.matches[1].str();
+  return text.size() > 6 ? std::size_t{1'000'000} : std::strtoul(text.c_str(), nullptr, 10);
+}
+
+void reply_with_scene(HttpContext& context, const Result<void>& done, Response& r, int status) {
+  if (!done) return refuse(r, done.error());
+  reply(r, context.sources.objects.surroundings(), status);
+}
+
+void show_scene(HttpContext& context, const Request& q, Response& r) {
+  if (!has_json(q, r)) return;
+  const auto value = only_value(q.body, "file");
+  if (!value) return refuse(r, value.error());
+  if (!value->is_string()) return refuse(r, {ErrorCode::kInvalid, "file", "is not a text"});
+  const auto scene = read_scene_in(context.options.assets, value->get<std::string>());
+  if (!scene) return refuse(r, scene.error());
+  reply_with_scene(context, context.sources.objects.show_scene(*scene), r, 202);
+}
+
 void change_budget(HttpContext& context, const Request& q, Response& r) {
   if (!has_json(q, r)) return;
   const auto value = only_value(q.body, "max_shadow_error");
@@ -96,6 +119,18 @@ void add_change_routes(httplib::Server& server, HttpContext& context) {
     if (const auto gone = context.sources.objects.remove(name); !gone)
       return refuse(r, gone.error());
     reply(r, {{"removed", name}});
+  });
+  SceneControl& objects = context.sources.objects;
+  server.Put("/v1/scene", [&](const Request& q, Response& r) { show_scene(context, q, r); });
+  server.Post("/v1/lamps", [&](const Request& q, Response& r) {
+    if (has_json(q, r)) reply_with_scene(context, objects.add_lamp(q.body), r, 202);
+  });
+  server.Patch(R"(/v1/lamps/(\d+))", [&](const Request& q, Response& r) {
+    if (has_json(q, r))
+      reply_with_scene(context, objects.change_lamp(number_in(q), q.body), r, 202);
+  });
+  server.Delete(R"(/v1/lamps/(\d+))", [&](const Request& q, Response& r) {
+    reply_with_scene(context, objects.remove_lamp(number_in(q)), r, 202);
   });
   server.Patch("/v1/budget", [&](const Request& q, Response& r) { change_budget(context, q, r); });
   server.Post("/v1/recording",

@@ -185,7 +185,7 @@ struct HttpApi::Impl {
     if (!listed) return;
     r.set_header("Access-Control-Allow-Origin", origin);
     if (q.method != "OPTIONS") return;
-    r.set_header("Access-Control-Allow-Methods", "GET, PATCH, POST, DELETE");
+    r.set_header("Access-Control-Allow-Methods", "GET, PATCH, POST, PUT, DELETE");
     r.set_header("Access-Control-Allow-Headers", "Content-Type, Authorization");
     r.set_header("Access-Control-Max-Age", "600");
   }

@@ -148,6 +148,10 @@ std::unexpected<Error> starting() {
   return fail(ErrorCode::kUnavailable, "the service", "is still starting");
 }
 
+std::unexpected<Error> no_lamp(std::size_t lamp) {
+  return fail(ErrorCode::kNotFound, fmt::format("lamp {}", lamp), "is not in the scene");
+}
+
 bool has_object(const runtime::Scene& scene, const std::string& name) {
   return std::ranges::find(scene.objects, name, &runtime::SceneObject::name) != scene.objects.end();
 }
@@ -177,6 +181,44 @@ Result<runtime::SceneObject> read_new_object(std::string_view text, const fs::pa
   PENUMBRA_ASSIGN(file, asset_file(out.asset, assets));
   out.asset = file;
   return out;
+}
+
+Result<shadows::Lamp> read_lamp_change(std::string_view text, const shadows::Lamp& before) {
+  constexpr std::string_view keys[] = {"position_m", "radius_m", "irradiance_at_1m"};
+  const json body = json::parse(text, nullptr, false);
+  if (!body.is_object()) return fail(ErrorCode::kInvalid, "the body", "is no JSON object");
+  shadows::Lamp out = before;
+  for (const auto& [key, value] : body.items()) {
+    if (key == "position_m") {
+      PENUMBRA_ASSIGN(p, position(value, key));
+      out.position = p;
+    } else if (key == "radius_m") {
+      PENUMBRA_ASSIGN(n, within(value, key, .001, 10));
+      out.radius_m = n;
+    } else if (key == "irradiance_at_1m") {
+      PENUMBRA_ASSIGN(p, position(value, key));
+      if (std::min({p.x, p.y, p.z}) < 0) return fail(ErrorCode::kInvalid, key, "is below 0");
+      out.irradiance_at_1m = {static_cast<float>(p.x), static_cast<float>(p.y),
+                              static_cast<float>(p.z)};
+    } else {
+      return unknown(key, keys);
+    }
+  }
+  return out;
+}
+
+bool have_same_lamps(const runtime::Scene& a, const runtime::Scene& b) {
+  return std::ranges::equal(a.lamps, b.lamps, [](const auto& x, const auto& y) {
+    return x.position == y.position && x.radius_m == y.radius_m &&
+           x.irradiance_at_1m == y.irradiance_at_1m;
+  });
+}
+
+Result<runtime::Scene> read_scene_in(const fs::path& folder, std::string_view name) {
+  const fs::path file(name);
+  if (folder.empty() || file.filename() != file || file.extension() != ".toml")
+    return fail(ErrorCode::kInvalid, "file", "is no .toml file in the folder of the scene");
+  return runtime::read_scene(folder / file);
 }
 
 void SceneControl::attach(Pipeline* pipeline, SceneKeeper* keeper) {
@@ -234,6 +276,45 @@ Result<void> SceneControl::add(const runtime::SceneObject& object) {
   return {};
 }
 
+Result<void> SceneControl::add_lamp(std::string_view text) {
+  const std::scoped_lock lock(mutex_);
+  if (!keeper_) return starting();
+  if (scene_.lamps.size() >= kMaxLamps)
+    return fail(ErrorCode::kInvalid, "the scene",
+                fmt::format("has {} lamps, and more are not taken", kMaxLamps));
+  PENUMBRA_ASSIGN(lamp, read_lamp_change(text, {}));
+  scene_.lamps.push_back(lamp);
+  keeper_->want(scene_);
+  return {};
+}
+
+Result<void> SceneControl::change_lamp(std::size_t lamp, std::string_view text) {
+  const std::scoped_lock lock(mutex_);
+  if (!keeper_) return starting();
+  if (lamp >= scene_.lamps.size()) return no_lamp(lamp);
+  PENUMBRA_ASSIGN(changed, read_lamp_change(text, scene_.lamps[lamp]));
+  scene_.lamps[lamp] = changed;
+  keeper_->want(scene_);
+  return {};
+}
+
+Result<void> SceneControl::remove_lamp(std::size_t lamp) {
+  const std::scoped_lock lock(mutex_);
+  if (!keeper_) return starting();
+  if (lamp >= scene_.lamps.size()) return no_lamp(lamp);
+  scene_.lamps.erase(scene_.lamps.begin() + static_cast<std::ptrdiff_t>(lamp));
+  keeper_->want(scene_);
+  return {};
+}
+
+Result<void> SceneControl::show_scene(const runtime::Scene& scene) {
+  const std::scoped_lock lock(mutex_);
+  if (!keeper_) return starting();
+  scene_ = scene;
+  keeper_->want(scene_);
+  return {};
+}
+
 void SceneControl::follow_file(const runtime::Scene& last, const runtime::Scene& now) {
   const std::scoped_lock lock(mutex_);
   runtime::Scene wanted = now;
@@ -243,6 +324,7 @@ void SceneControl::follow_file(const runtime::Scene& last, const runtime::Scene&
   });
   for (const runtime::SceneObject& o : scene_.objects)
     if (!has_object(last, o.name) && !has_object(now, o.name)) wanted.objects.push_back(o);
+  if (have_same_lamps(last, now)) wanted.lamps = scene_.lamps;
   scene_ = wanted;
   if (keeper_) keeper_->want(std::move(wanted));
 }
@@ -294,13 +376,10 @@ json SceneControl::surroundings() const {
     if (real.plane)
       planes.push_back(
           {{"point_m", to_json(real.plane->point)}, {"normal", to_json(real.plane->normal)}});
-  for (std::size_t i = 0; i < scene_.lamps.size(); ++i) {
-    const shadows::Lamp& lamp = scene_.lamps[i];
-    lamps.push_back({{"name", fmt::format("lamp {}", i + 1)},
-                     {"position_m", to_json(glm::dvec3(lamp.position))},
+  for (const shadows::Lamp& lamp : scene_.lamps)
+    lamps.push_back({{"position_m", to_json(glm::dvec3(lamp.position))},
                      {"radius_m", lamp.radius_m},
                      {"irradiance_at_1m", runtime::to_json(lamp.irradiance_at_1m)}});
-  }
   return {{"planes", planes}, {"lamps", lamps}};
 }
 

@@ -37,10 +37,20 @@ Result<ObjectChange> read_object_change(std::string_view json);
 Result<runtime::SceneObject> read_new_object(std::string_view json,
                                              const std::filesystem::path& assets);
 
+/// A lamp that a client adds or changes; of one that is changed what is not given stays.
+/// errors: kInvalid (as read_object_change; a radius or a light out of range)
+Result<shadows::Lamp> read_lamp_change(std::string_view json, const shadows::Lamp& before);
+
+bool have_same_lamps(const runtime::Scene& a, const runtime::Scene& b);
+
+/// The scene of a file in a folder.
+/// errors: kInvalid (no plain file name of the folder), as runtime::read_scene
+Result<runtime::Scene> read_scene_in(const std::filesystem::path& folder, std::string_view name);
+
 /// threads: thread-safe
 class SceneControl {
  public:
-  static constexpr std::size_t kMaxObjects = 64;
+  static constexpr std::size_t kMaxObjects = 64, kMaxLamps = 16;
 
   /// From now on changes go to them, until others or none come. Both outlive that.
   void attach(Pipeline* pipeline, SceneKeeper* keeper);
@@ -57,6 +67,15 @@ class SceneControl {
   /// Out of the picture with the next frame, and then out of the scene.
   /// errors: kUnavailable (no pipeline yet), kNotFound (no such object)
   Result<void> remove(const std::string& object);
+  /// Lamps are counted from 0. Shown as soon as their light is traced.
+  /// errors: kUnavailable (no pipeline yet), kNotFound (no such lamp), kInvalid (too many; as
+  ///         read_lamp_change)
+  Result<void> add_lamp(std::string_view json);
+  Result<void> change_lamp(std::size_t lamp, std::string_view json);
+  Result<void> remove_lamp(std::size_t lamp);
+  /// Another scene in the place of this one.
+  /// errors: kUnavailable (no pipeline yet)
+  Result<void> show_scene(const runtime::Scene& scene);
   /// The scene's file was read anew. What it no longer has goes, what it has now comes, and what
   /// clients added or took away stays so.
   void follow_file(const runtime::Scene& last, const runtime::Scene& now);

@@ -70,8 +70,7 @@ bool are_alike(const runtime::RealGeometry& a, const runtime::RealGeometry& b) {
 
 bool apply_scene(const runtime::Scene& shown, const runtime::Scene& last, const runtime::Scene& now,
                  SceneControl& objects) {
-  bool more =
-      !std::ranges::equal(last.real, now.real, are_alike) || last.lamps.size() != now.lamps.size();
+  bool more = !std::ranges::equal(last.real, now.real, are_alike) || !have_same_lamps(last, now);
   for (const SceneObject& o : now.objects) {
     const SceneObject* const was = find(shown, o.name);
     more |= !was || apply(*was, find(last, o.name), o, objects);

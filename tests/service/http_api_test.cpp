@@ -380,6 +380,32 @@ TEST(HttpApi, ANewObjectPlaceIsInTheNextFrame) {
   EXPECT_TRUE(drawn() == at_first);
   EXPECT_EQ(pipeline->objects().size(), 1u) << "and out of the scene";
   EXPECT_EQ(client.Delete("/v1/objects/other")->status, 404);
+  // A lamp comes, moves and goes.
+  const auto lamp = [&](auto response) {
+    while (keeper.is_busy()) ::usleep(10'000);
+    return response->status;
+  };
+  constexpr const char* kJson = "application/json";
+  EXPECT_EQ(lamp(client.Post("/v1/lamps",
+                             R"({"position_m": [0.3, 0.8, 0.3], "irradiance_at_1m": [300, 200, 100],
+                                 "radius_m": 0.05})",
+                             kJson)),
+            202);
+  const FramePixels under_lamp = drawn();
+  EXPECT_FALSE(under_lamp == at_first);
+  EXPECT_EQ(lamp(client.Patch("/v1/lamps/0", R"({"position_m": [-0.3, 0.8, 0.3]})", kJson)), 202);
+  EXPECT_FALSE(drawn() == under_lamp);
+  EXPECT_EQ(lamp(client.Patch("/v1/lamps/1", "{}", kJson)), 404);
+  EXPECT_EQ(lamp(client.Patch("/v1/lamps/99999999999999999999", "{}", kJson)), 404);
+  EXPECT_EQ(lamp(client.Patch("/v1/lamps/0", R"({"radius_m": 0})", kJson)), 400);
+  EXPECT_EQ(lamp(client.Patch("/v1/lamps/0", R"({"irradiance_at_1m": [1, 1, -1]})", kJson)), 400);
+  const auto told = nlohmann::json::parse(client.Get("/v1/scene")->body)["lamps"];
+  ASSERT_EQ(told.size(), 1u);
+  EXPECT_EQ(told[0]["position_m"][0], -.3);
+  EXPECT_EQ(lamp(client.Delete("/v1/lamps/0")), 202);
+  EXPECT_TRUE(drawn() == at_first);
+  for (const char* file : {"../scene.toml", "/etc/passwd", "scene.txt", ""})
+    EXPECT_EQ(client.Put("/v1/scene", nlohmann::json{{"file", file}}.dump(), kJson)->status, 400);
   EXPECT_EQ(client.Patch("/v1/budget", R"({"max_shadow_error": 0.1})", "application/json")->status,
             200);
   EXPECT_EQ(pipeline->max_shadow_error(), .1);
