@@ -7,6 +7,7 @@
 
 #include "codec/codec.h"
 #include "codec/display.h"
+#include "codec/gain_map_jpeg.h"
 #include "core/conventions.h"
 #include "core/io/files.h"
 #include "runtime/pipeline/report.h"
@@ -77,7 +78,7 @@ json histogram_of(const Environment& map) {
 }
 
 // A fifth of white for the mean logarithm, as a photographer's meter.
-Image<Rgb8> preview_of(const Environment& map) {
+float preview_exposure(const Environment& map) {
   double sum = 0;
   std::size_t count = 0;
   for (const Rgb& c : map.radiance.pixels()) {
@@ -85,15 +86,14 @@ Image<Rgb8> preview_of(const Environment& map) {
     sum += std::log(luminance(c));
     ++count;
   }
-  const double mean = count > 0 ? std::exp(sum / static_cast<double>(count)) : 1;
-  return codec::to_display(FramePixels(map.radiance), static_cast<float>(.2 / mean));
+  return static_cast<float>(.2 / (count > 0 ? std::exp(sum / static_cast<double>(count)) : 1));
 }
 
 void get_environment(HttpContext& context, const std::string& kind, Response& r) {
   const auto map = context.sources.state.environment();
   if (!map) return no_light_yet(r);
   if (kind == ".jpg") {
-    const auto jpeg = codec::encode_jpeg(preview_of(*map));
+    const auto jpeg = codec::encode_gain_map_jpeg(map->radiance, preview_exposure(*map));
     if (!jpeg) return refuse(r, jpeg.error());
     return r.set_content(reinterpret_cast<const char*>(jpeg->data()), jpeg->size(), "image/jpeg");
   }
