@@ -21,6 +21,9 @@ pkg_check_modules(Exif REQUIRED IMPORTED_TARGET libexif)
 pkg_check_modules(TinyGLTF REQUIRED IMPORTED_TARGET tinygltf)
 pkg_check_modules(FFmpeg REQUIRED IMPORTED_TARGET libavformat libavcodec libavutil libswscale)
 pkg_check_modules(Libcamera REQUIRED IMPORTED_TARGET libcamera)
+pkg_check_modules(PipeWire REQUIRED IMPORTED_TARGET libpipewire-0.3)
+# Without its -D_REENTRANT, which a precompiled header does not have.
+set_property(TARGET PkgConfig::PipeWire PROPERTY INTERFACE_COMPILE_OPTIONS)
 pkg_check_modules(GLES REQUIRED IMPORTED_TARGET egl glesv2)
 # With the definitions that the library was built with: without them its Client is larger than its header says.
 pkg_check_modules(Httplib REQUIRED IMPORTED_TARGET cpp-httplib)

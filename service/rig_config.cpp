@@ -120,6 +120,11 @@ Result<void> read_optional_path(const TomlKeys& keys, std::string_view key, cons
 Result<void> read_http(const TomlKeys& keys, const toml::table& table, const fs::path& folder,
                        RigConfig& c) {
   PENUMBRA_TRY(read_optional_path(keys, "socket", folder, c.socket));
+  if (keys.has("socket_group")) {
+    const auto value = table["socket_group"].value_exact<bool>();
+    if (!value) return keys.invalid("socket_group", "is neither true nor false");
+    c.socket_for_group = *value;
+  }
   if (keys.has("token_file")) {
     PENUMBRA_ASSIGN(name, keys.text("token_file"));
     PENUMBRA_ASSIGN(token, read_token(keys, resolve(name, folder)));
@@ -161,8 +166,10 @@ Result<RigConfig> read_rig_config(const fs::path& path, bool to_composite) {
   constexpr std::string_view scene_keys[] = {"file"};
   constexpr std::string_view light_keys[] = {"bands", "max_lights", "max_shadow_error",
                                              "stale_after_s"};
-  constexpr std::string_view http_keys[] = {"socket", "address", "port", "token_file", "origins"};
-  constexpr std::string_view output_keys[] = {"recordings", "light_page"};
+  constexpr std::string_view http_keys[] = {"socket", "socket_group", "address",
+                                            "port",   "token_file",   "origins"};
+  constexpr std::string_view output_keys[] = {"recordings", "light_page", "pipewire", "v4l2",
+                                              "y4m"};
   const auto capture = [&](const TomlKeys& k) { return read_capture(k, folder, c); };
   const auto scene = [&](const TomlKeys& k) { return read_path(k, "file", folder, c.scene); };
   const auto light = [&](const TomlKeys& k) -> Result<void> {
@@ -180,7 +187,15 @@ Result<RigConfig> read_rig_config(const fs::path& path, bool to_composite) {
       PENUMBRA_ASSIGN(name, k.text("recordings"));
       c.recordings = resolve(name, folder);
     }
-    return read_optional_path(k, "light_page", folder, c.light_page);
+    PENUMBRA_TRY(read_optional_path(k, "light_page", folder, c.light_page));
+    for (const auto& [key, to] :
+         {std::pair{"pipewire", &c.pipewire}, {"v4l2", &c.v4l2}, {"y4m", &c.y4m}}) {
+      if (!k.has(key)) continue;
+      PENUMBRA_ASSIGN(text, k.text(key));
+      *to = text;
+    }
+    if (!c.y4m.empty() && c.y4m != "-") c.y4m = resolve(c.y4m, folder);
+    return {};
   };
   PENUMBRA_TRY(Section(path, root, keys, "capture").read(capture_keys, capture));
   PENUMBRA_TRY(Section(path, root, keys, "scene").read(scene_keys, scene));

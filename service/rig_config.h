@@ -26,11 +26,13 @@ struct RigConfig {
   double stale_after_s = 1;                // light older than this is reported as stale
   // Nothing: in the folder of this user's running programs, where there is one. Empty: none
   std::optional<std::filesystem::path> socket, light_page;
+  bool socket_for_group = false;  // else its owner alone may open it
   std::string address = "127.0.0.1";
   std::optional<int> port;           // 0: any free one; nothing: no TCP
   std::string token;                 // of the token's file
   std::vector<std::string> origins;  // whose pages may read and change
   std::filesystem::path recordings;  // folder of recordings and snapshots
+  std::string pipewire, v4l2, y4m;   // where the picture goes; empty: not there
 };
 
 /// errors: kNotFound, kUnreadable, kInvalid (file, line, key; an address that is not loopback,

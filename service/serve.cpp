@@ -11,6 +11,7 @@
 #include <mutex>
 #include <optional>
 #include <utility>
+#include <vector>
 
 #include "capture/frames.h"
 #include "core/io/log.h"
@@ -19,6 +20,7 @@
 #include "service/http/http_api.h"
 #include "service/http/published_state.h"
 #include "service/light_page.h"
+#include "service/outputs/frame_output.h"
 #include "service/recording/live_recording.h"
 #include "service/rig_config.h"
 #include "service/rig_source.h"
@@ -97,6 +99,7 @@ HttpOptions http_options(const RigConfig& c) {
   out.address = c.address;
   out.port = c.port;
   out.token = c.token;
+  out.socket_for_group = c.socket_for_group;
   out.origins = c.origins;
   out.stale_after_s = c.stale_after_s;
   if (c.scene) out.assets = fs::absolute(*c.scene).parent_path();
@@ -123,6 +126,7 @@ class Service {
 
  private:
   Result<void> listen();
+  Result<void> open_outputs(double rate_hz);
   Result<void> compose(capture::FrameSource& source, const std::atomic<bool>& stop);
   void reload();
   void publish(const runtime::Output& out, const capture::FrameSource& source,
@@ -136,6 +140,7 @@ class Service {
   std::shared_ptr<StageTimes> times_ = std::make_shared<StageTimes>();
   std::unique_ptr<HttpApi> tcp_, socket_;
   std::unique_ptr<LightPage> page_;
+  std::vector<std::unique_ptr<FrameOutput>> outputs_;
   RigSource rig_;
   std::mutex scenes_mutex_;
   runtime::Scene shown_;      // what the pipeline was last given; guarded by scenes_mutex_
@@ -166,6 +171,14 @@ void Service::publish(const runtime::Output& out, const capture::FrameSource& so
   state_.publish(out.light, out.source.time, out.pixels, out.overtaken);
   state_.publish_cameras(source.cameras(), source.counts());
   if (page_) page_->write(pipeline.objects(), out.source.time);
+  if (outputs_.empty()) return;
+  std::vector<PublishedState::OutputState> states;
+  for (const auto& output : outputs_) {
+    output->show(out.pixels, out.source.time);
+    const FrameOutput::Counts counts = output->counts();
+    states.push_back({output->name(), counts.shown, counts.overtaken, output->trouble()});
+  }
+  state_.publish_outputs(std::move(states));
 }
 
 Result<void> Service::listen() {
@@ -187,6 +200,19 @@ Result<void> Service::listen() {
                 "has neither a port nor a socket: nobody could ask for anything");
   PENUMBRA_ASSIGN(page, make_at(config_.light_page, "light", LightPage::create));
   page_ = std::move(page);
+  return {};
+}
+
+Result<void> Service::open_outputs(double rate_hz) {
+  const auto add = [&](Result<std::unique_ptr<FrameOutput>> made) -> Result<void> {
+    PENUMBRA_ASSIGN(output, std::move(made));
+    outputs_.push_back(std::move(output));
+    return {};
+  };
+  if (!config_.pipewire.empty())
+    PENUMBRA_TRY(add(FrameOutput::to_pipewire({.name = config_.pipewire, .rate_hz = rate_hz})));
+  if (!config_.v4l2.empty()) PENUMBRA_TRY(add(FrameOutput::to_v4l2(config_.v4l2)));
+  if (!config_.y4m.empty()) PENUMBRA_TRY(add(FrameOutput::to_y4m(config_.y4m, rate_hz)));
   return {};
 }
 
@@ -263,6 +289,7 @@ Result<void> Service::run() {
   rig_ = std::move(rig);
   scene_now_ = shown_ = rig_.scene;
   PENUMBRA_TRY(Pipeline::check(rig_.source->cameras()));
+  PENUMBRA_TRY(open_outputs(rig_.source->view_rate()));
   state_.describe_source(rig_.source->cameras(), rig_.source->view_rate());
   if (tcp_) log_info("listening on http://{}:{}", config_.address, tcp_->port());
   if (socket_) log_info("listening on the socket {}", socket_->socket().string());

@@ -23,7 +23,7 @@ shadows/silhouette shadows/field shadows/visibility
 compositor compositor/layers compositor/pixels compositor/composite
 runtime/scene runtime/surroundings runtime/direct runtime/shading
 runtime/governor runtime/pipeline runtime/studio
-service/client service/openxr service/scene service/recording service/http service
+service/client service/openxr service/scene service/recording service/outputs service/http service
 tools/common tools/plots tools/runs tools/pictures tools/demo tools/penumbrad tools/penumbra tools/calibrate
 tools/chart/measures tools/chart/governor tools/chart/benches tools/chart/peers tools/chart""".split()
 # All public headers of a room, for programs and tests; the library itself includes what it needs.

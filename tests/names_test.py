@@ -87,7 +87,9 @@ TABLES = {
                         f"{HTTP}: json light_json(",
                         f"{REPORT}: json to_json(const lighting::DistantLight&",
                         f"{REPORT}: json to_json(const lighting::Plan&"],
-        "`/v1/objects`": ["service/scene/scene_control.cpp: kChangeKeys[]"]},
+        "`/v1/objects`": ["service/scene/scene_control.cpp: kChangeKeys[]",
+                          "service/scene/scene_control.cpp: kNewKeys[]"],
+        "Scenes and lamps": ["service/scene/scene_control.cpp: kLampKeys[]"]},
     "json.md": {
         "demo, composite and summary.json": [
             f"{SUMMARY} - {CONFIGURATION} + configuration", f"{CONFIGURATION} - configuration"],

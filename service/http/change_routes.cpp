@@ -2,6 +2,7 @@
 // send without being asked first.
 #include <fmt/format.h>
 
+#include <algorithm>
 #include <cstdlib>
 
 #include "codec/codec.h"
@@ -18,7 +19,9 @@ namespace {
 
 // Answers itself where there is none.
 bool has_json(const Request& q, Response& r) {
-  if (q.get_header_value("Content-Type").starts_with("application/json")) return true;
+  std::string type = lower(q.get_header_value("Content-Type"));
+  type.erase(std::min(type.size(), type.find_first_of("; \t")));
+  if (type == "application/json") return true;
   reply(r, {{"error", "the body must be application/json"}}, 415);
   return false;
 }
@@ -99,6 +102,8 @@ void start_recording(HttpContext& context, const Request& q, Response& r) {
 
 void take_snapshot(HttpContext& context, const Request& q, Response& r) {
   if (!has_json(q, r)) return;
+  if (nlohmann::json::parse(q.body, nullptr, false) != json::object())
+    return refuse(r, {ErrorCode::kInvalid, "the body", "is not {}"});
   const auto s = context.sources.state.snapshot();
   if (!s.frame) return reply(r, {{"error", "no frame has been composited yet"}}, 503);
   const auto file = context.sources.recording.new_file("snapshot", ".png");

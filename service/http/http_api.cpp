@@ -46,6 +46,12 @@ nlohmann::json RecentStages::now() {
   return stages_;
 }
 
+std::string lower(std::string text) {
+  std::ranges::transform(text, text.begin(),
+                         [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
+  return text;
+}
+
 void reply(Response& response, const nlohmann::json& body, int status) {
   response.status = status;
   response.set_content(body.dump(-1, ' ', false, nlohmann::json::error_handler_t::replace) + "\n",
@@ -64,9 +70,7 @@ namespace {
 
 // Against DNS rebinding: a page whose name was bound anew to a loopback address sends that name.
 bool is_for_loopback(const Request& request) {
-  std::string host = request.get_header_value("Host");
-  std::ranges::transform(host, host.begin(),
-                         [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
+  const std::string host = lower(request.get_header_value("Host"));
   if (host.starts_with('[')) return is_loopback(host.substr(1, host.find(']') - 1));
   return is_loopback(host.substr(0, host.find(':')));
 }
@@ -83,7 +87,10 @@ constexpr const char* kCookie = "penumbra_token=";
 
 // As a bearer, or once in the address, which the page's own requests then carry as a cookie.
 bool has_token(const Request& q, const std::string& token, Response& r) {
-  if (are_same(q.get_header_value("Authorization"), "Bearer " + token)) return true;
+  constexpr std::size_t kBearer = 7;  // its name is of any case
+  const std::string bearer = q.get_header_value("Authorization");
+  if (lower(bearer.substr(0, kBearer)) == "bearer " && are_same(bearer.substr(kBearer), token))
+    return true;
   if (q.has_param("token") && are_same(q.get_param_value("token"), token)) {
     r.set_header("Set-Cookie", kCookie + token + "; HttpOnly; SameSite=Strict; Path=/");
     return true;
@@ -158,8 +165,9 @@ struct HttpApi::Impl {
   // True where the request is refused, and answered.
   bool is_refused(const Request& q, Response& r, bool tcp) const {
     const HttpOptions& o = context.options;
-    if (q.ranges.size() > 1) {  // each would be answered, however often it is asked for
-      reply(r, {{"error", "one range at a time is answered"}}, 416);
+    const bool has_body = q.method == "POST" || q.method == "PUT" || q.method == "PATCH";
+    if (has_body && !q.has_header("Content-Length") && !q.has_header("Transfer-Encoding")) {
+      reply(r, {{"error", "the request does not say how long its body is"}}, 411);
       return true;
     }
     if (!tcp) return false;  // who may open the socket may ask
@@ -194,6 +202,8 @@ struct HttpApi::Impl {
     set_limits(server);
     server.set_pre_routing_handler([this, tcp](const Request& q, Response& r) {
       using Handled = httplib::Server::HandlerResponse;
+      // Parts of what changes with each request make no sense: all of it is answered.
+      const_cast<Request&>(q).ranges.clear();
       tell_origin(q, r);
       if (is_refused(q, r, tcp)) return Handled::Handled;
       if (q.method != "OPTIONS") return Handled::Unhandled;
@@ -244,7 +254,7 @@ struct HttpApi::Impl {
     over_socket.set_address_family(AF_UNIX);
     over_socket.set_socket_options([](socket_t) {});
     set_up(over_socket, false);
-    const mode_t before = ::umask(0177);
+    const mode_t before = ::umask(context.options.socket_for_group ? 0117 : 0177);
     const bool bound = over_socket.bind_to_port(context.options.socket.string(), 80);
     ::umask(before);
     if (!bound)

@@ -17,7 +17,8 @@
 namespace penumbra::service {
 
 struct HttpOptions {
-  std::filesystem::path socket;  // of mode 0600; empty: none
+  std::filesystem::path socket;   // empty: none
+  bool socket_for_group = false;  // of mode 0660, else 0600
   std::string address = "127.0.0.1";
   std::optional<int> port{};           // 0: any free one; nothing: no TCP
   std::string token;                   // needed of every request over TCP where it is not empty

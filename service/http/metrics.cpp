@@ -130,6 +130,18 @@ void add_stages(const StageTimes& times, Metrics& m) {
   }
 }
 
+void add_outputs(const PublishedState::Snapshot& s, Metrics& m) {
+  m.begin("penumbra_output_frames_total", "counter", "Frames of an output by what became of them.");
+  for (const PublishedState::OutputState& o : s.outputs) {
+    const std::string label = fmt::format("output=\"{}\"", quoted(o.name));
+    m.add(static_cast<double>(o.shown), label + ",result=\"shown\"");
+    m.add(static_cast<double>(o.overtaken), label + ",result=\"overtaken\"");
+  }
+  m.begin("penumbra_output_works", "gauge", "0 while nothing comes out of an output.");
+  for (const PublishedState::OutputState& o : s.outputs)
+    m.add(o.trouble.empty() ? 1 : 0, fmt::format("output=\"{}\"", quoted(o.name)));
+}
+
 void add_process(Metrics& m) {
   double pages = 0, resident_pages = 0;
   std::ifstream("/proc/self/statm") >> pages >> resident_pages;
@@ -160,6 +172,7 @@ std::string metrics_text(HttpContext& context) {
   add_cameras(s, m);
   add_light(s, context.sources.objects.max_shadow_error(), m);
   add_stages(context.sources.times, m);
+  add_outputs(s, m);
   m.gauge("penumbra_streams", "Streams that are open.", context.streams);
   if (const auto recording = context.sources.recording.state()) {
     const auto r = to_json(*recording);

@@ -51,18 +51,24 @@ void PublishedState::publish_cameras(const std::vector<capture::CameraInfo>& cam
     state_.cameras.emplace_back(cameras[i].name, std::move(counts[i]));
 }
 
+void PublishedState::publish_outputs(std::vector<OutputState> outputs) {
+  const std::scoped_lock lock(mutex_);
+  state_.outputs = std::move(outputs);
+}
+
 void PublishedState::publish_environment(const Environment& environment) {
   const auto now = Clock::now();
   {
     const std::scoped_lock lock(mutex_);
     const bool wanted = !environment_ || environment_wanted_ > now - kWantedFor;
-    if (!wanted || environment_made_ > now - kBetweenMaps) return;
-    environment_made_ = now;
+    if (!wanted || environment_begun_ > now - kBetweenMaps) return;
+    environment_begun_ = now;
   }
   auto copy = std::make_shared<const Environment>(environment);
   {
     const std::scoped_lock lock(mutex_);
     environment_ = std::move(copy);
+    environment_made_ = now;
   }
   changed_.notify_all();
 }

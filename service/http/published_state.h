@@ -35,6 +35,13 @@ class PublishedState {
   /// What became of the frames of real cameras, by name.
   void publish_cameras(const std::vector<capture::CameraInfo>& cameras,
                        std::vector<capture::CameraCounts> counts);
+  /// One way out of the picture.
+  struct OutputState {
+    std::string name;
+    std::uint64_t shown = 0, overtaken = 0;  // frames
+    std::string trouble;                     // why nothing comes out; empty: all is well
+  };
+  void publish_outputs(std::vector<OutputState> outputs);
   /// The map that a light comes from. It is copied at most five times a second, and only while
   /// somebody asks for it.
   void publish_environment(const Environment& environment);
@@ -51,6 +58,7 @@ class PublishedState {
     runtime::OvertakenFrames overtaken;
     std::vector<capture::CameraInfo> sources;
     std::vector<std::pair<std::string, capture::CameraCounts>> cameras;  // real ones
+    std::vector<OutputState> outputs;
     std::map<std::string, double> preparing;  // work that goes on, and how far it has come
     /// "starting" before any light, "stale" when light or frames stopped coming, "slow" when frames
     /// come at less than four fifths of the source's rate, else "ok".
@@ -69,7 +77,7 @@ class PublishedState {
   Snapshot state_;                      // guarded by mutex_, as are all below
   std::deque<Clock::time_point> came_;  // frames of the last seconds
   std::shared_ptr<const Environment> environment_;
-  Clock::time_point environment_made_{}, published_ = Clock::now();
+  Clock::time_point environment_begun_{}, environment_made_{}, published_ = Clock::now();
   mutable Clock::time_point environment_wanted_{};
   const Clock::time_point started_ = Clock::now();
 };

@@ -100,6 +100,10 @@ json state_json(HttpContext& context) {
   body["light"] = s.light.valid ? light_json(s, context.options.stale_after_s) : json(nullptr);
   const auto budget = context.sources.objects.max_shadow_error();
   body["budget"] = budget ? json{{"max_shadow_error", *budget}} : json(nullptr);
+  body["outputs"] = json::array();
+  for (const PublishedState::OutputState& o : s.outputs)
+    body["outputs"].push_back(
+        {{"name", o.name}, {"shown", o.shown}, {"overtaken", o.overtaken}, {"trouble", o.trouble}});
   const auto recording = context.sources.recording.state();
   body["recording"] = recording ? to_json(*recording) : json(nullptr);
   return body;

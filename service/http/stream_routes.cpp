@@ -2,7 +2,9 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <charconv>
 #include <chrono>
+#include <functional>
 #include <thread>
 
 #include "service/http/internal/context.h"
@@ -30,20 +32,28 @@ bool take_place(HttpContext& context, Response& r) {
 
 // A rate in hertz that a request asks for.
 Result<double> rate_of(const Request& q, double usual, double most) {
+  constexpr double kLeast = .1;
   if (!q.has_param("rate_hz")) return usual;
   const std::string text = q.get_param_value("rate_hz");
-  char* end = nullptr;
-  const double rate = std::strtod(text.c_str(), &end);
-  if (text.empty() || *end != '\0' || !(rate > 0 && rate <= most))
-    return fail(ErrorCode::kInvalid, "rate_hz", fmt::format("is not above 0 and at most {}", most));
+  double rate = 0;
+  const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), rate);
+  const bool whole = error == std::errc() && end == text.data() + text.size();
+  if (!whole || !(rate >= kLeast && rate <= most))
+    return fail(ErrorCode::kInvalid, "rate_hz", fmt::format("is not within {}..{}", kLeast, most));
   return rate;
 }
 
-// False when the service stops first.
-bool wait_until(Clock::time_point due, const HttpContext& context) {
-  constexpr std::chrono::milliseconds kSlice(50);
-  while (!context.stopping && Clock::now() < due)
+// False when the service stops first, or the client has left.
+bool wait_until(Clock::time_point due, const HttpContext& context,
+                const std::function<bool()>& is_there) {
+  constexpr std::chrono::milliseconds kSlice(50), kLook(2000);
+  Clock::time_point look = Clock::now() + kLook;
+  while (!context.stopping && Clock::now() < due) {
     std::this_thread::sleep_until(std::min(due, Clock::now() + kSlice));
+    if (Clock::now() < look) continue;
+    look += kLook;
+    if (!is_there()) return false;
+  }
   return !context.stopping;
 }
 
@@ -56,7 +66,8 @@ void stream_events(HttpContext& context, const Request& q, Response& r) {
   r.set_chunked_content_provider(
       "text/event-stream",
       [&context, period, due = Clock::now()](std::size_t, httplib::DataSink& sink) mutable {
-        if (!wait_until(due, context)) return false;
+        // A comment, which only shows that the client is there.
+        if (!wait_until(due, context, [&] { return sink.write(":\n\n", 3); })) return false;
         due = std::max(due + period, Clock::now());
         const std::string text =
             "event: state\ndata: " +
@@ -78,7 +89,7 @@ void stream_frames(HttpContext& context, const Request& q, Response& r) {
       fmt::format("multipart/x-mixed-replace; boundary={}", kBoundary),
       [&context, period, shown = std::uint64_t{0}, due = Clock::now()](
           std::size_t, httplib::DataSink& sink) mutable {
-        if (!wait_until(due, context)) return false;
+        if (!wait_until(due, context, [&] { return sink.is_writable(); })) return false;
         due = std::max(due + period, Clock::now());
         while (!context.sources.state.wait_beyond(shown, std::chrono::milliseconds(100)))
           if (context.stopping || !sink.is_writable()) return false;

@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <glm/geometric.hpp>
 #include <glm/gtc/quaternion.hpp>
 #include <iterator>
 #include <numbers>
@@ -48,8 +49,7 @@ Result<glm::dvec3> position(const json& value, const std::string& key) {
 std::unexpected<Error> unknown(const std::string& key, std::span<const std::string_view> known) {
   const auto near = nearest_word(key, known);
   return fail(ErrorCode::kInvalid, key,
-              near ? fmt::format("is no key of an object: did you mean {}?", *near)
-                   : "is no key of an object");
+              near ? fmt::format("is no key here: did you mean {}?", *near) : "is no key here");
 }
 
 Result<void> read_key(const std::string& key, const json& value, ObjectChange& out) {
@@ -156,6 +156,23 @@ bool has_object(const runtime::Scene& scene, const std::string& name) {
   return std::ranges::find(scene.objects, name, &runtime::SceneObject::name) != scene.objects.end();
 }
 
+constexpr double kFarthest_m = 1e4;  // beyond it floats have no room for a shadow
+
+// The place moved along the normal of the floor that is nearest; as it is where there is none.
+glm::dvec3 on_nearest_floor(const runtime::Scene& scene, const glm::dvec3& position) {
+  constexpr double kLevel = .5;  // cosine: walls carry nothing
+  std::optional<glm::dvec3> nearest;
+  for (const runtime::RealGeometry& real : scene.real) {
+    if (!real.plane) continue;
+    const glm::dvec3 normal = glm::normalize(real.plane->normal);
+    if (normal.y < kLevel) continue;
+    const glm::dvec3 foot = position - glm::dot(position - real.plane->point, normal) * normal;
+    if (!nearest || glm::distance(foot, position) < glm::distance(*nearest, position))
+      nearest = foot;
+  }
+  return nearest.value_or(position);
+}
+
 json to_json(const glm::dvec3& v) {
   return {v.x, v.y, v.z};
 }
@@ -183,8 +200,13 @@ Result<runtime::SceneObject> read_new_object(std::string_view text, const fs::pa
   return out;
 }
 
+namespace {
+
+constexpr std::string_view kLampKeys[] = {"position_m", "radius_m", "irradiance_at_1m"};
+
+}  // namespace
+
 Result<shadows::Lamp> read_lamp_change(std::string_view text, const shadows::Lamp& before) {
-  constexpr std::string_view keys[] = {"position_m", "radius_m", "irradiance_at_1m"};
   const json body = json::parse(text, nullptr, false);
   if (!body.is_object()) return fail(ErrorCode::kInvalid, "the body", "is no JSON object");
   shadows::Lamp out = before;
@@ -201,7 +223,7 @@ Result<shadows::Lamp> read_lamp_change(std::string_view text, const shadows::Lam
       out.irradiance_at_1m = {static_cast<float>(p.x), static_cast<float>(p.y),
                               static_cast<float>(p.z)};
     } else {
-      return unknown(key, keys);
+      return unknown(key, kLampKeys);
     }
   }
   return out;
@@ -268,10 +290,13 @@ Result<void> SceneControl::add(const runtime::SceneObject& object) {
   if (has_object(scene_, object.name))
     return fail(ErrorCode::kInvalid, fmt::format("object \"{}\"", object.name),
                 "is in the scene already");
+  if (glm::length(object.position) > kFarthest_m)
+    return fail(ErrorCode::kInvalid, "position_m", "is farther away than 10000 m");
   if (scene_.objects.size() >= kMaxObjects)
     return fail(ErrorCode::kInvalid, "the scene",
                 fmt::format("has {} objects, and more are not taken", kMaxObjects));
   scene_.objects.push_back(object);
+  scene_.objects.back().position = on_nearest_floor(scene_, object.position);
   keeper_->want(scene_);
   return {};
 }

@@ -15,8 +15,8 @@
 #include "runtime/pipeline/runner.h"
 #include "runtime/shading/composite_stage.h"
 #include "service/http/http_api.h"
-#include "tests/support/temp_folder.h"
 #include "tests/support/fake_camera.h"
+#include "tests/support/temp_folder.h"
 
 namespace penumbra::service {
 

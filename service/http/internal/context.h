@@ -53,6 +53,7 @@ struct HttpContext {
   std::atomic<int> streams = 0;
 };
 
+std::string lower(std::string text);
 /// In JSON, with bytes that are no UTF-8 replaced: what a request says may be any bytes.
 void reply(httplib::Response& response, const nlohmann::json& body, int status = 200);
 void refuse(httplib::Response& response, const Error& error);
