@@ -77,6 +77,13 @@ foreach(program penumbra penumbra-demo penumbra-calibrate penumbra-chart penumbr
 endforeach()
 add_custom_target(manuals ALL DEPENDS ${manuals})
 
+# The daemon under systemd, and what watches it.
+install(FILES service/systemd/penumbrad.service DESTINATION lib/systemd/system COMPONENT tools)
+install(FILES service/systemd/penumbra.sysusers DESTINATION lib/sysusers.d RENAME penumbra.conf
+        COMPONENT tools)
+install(FILES service/systemd/rig.toml docs/examples/grafana.json docs/examples/alerts.yml
+        DESTINATION ${CMAKE_INSTALL_DATADIR}/penumbra COMPONENT tools)
+
 # cpack -G DEB: libpenumbra0.1 (the shared library), penumbra-dev (headers, archives, package files)
 # and penumbra-tools (programs, which carry the rooms in themselves).
 set(penumbra_library_package lib${PROJECT_NAME}${PROJECT_VERSION_MAJOR}.${PROJECT_VERSION_MINOR})
@@ -107,6 +114,7 @@ set(CPACK_DEBIAN_TOOLS_PACKAGE_SHLIBDEPS ON)
 # Without a GPU the demo draws with Mesa's software device.
 set(CPACK_DEBIAN_TOOLS_PACKAGE_DEPENDS "libegl-mesa0, libgl1-mesa-dri")
 set(CPACK_DEBIAN_TOOLS_PACKAGE_RECOMMENDS "gnuplot-nox")
+set(CPACK_DEBIAN_TOOLS_PACKAGE_CONTROL_EXTRA ${CMAKE_SOURCE_DIR}/service/systemd/postinst)
 # Whoever builds against the archives needs the libraries' own headers.
 file(STRINGS cmake/packages/build.txt penumbra_dev_packages REGEX "^lib.*-dev|^nlohmann")
 list(JOIN penumbra_dev_packages ", " penumbra_dev_packages)

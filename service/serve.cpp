@@ -175,7 +175,7 @@ void Service::publish(const runtime::Output& out, const capture::FrameSource& so
   std::vector<PublishedState::OutputState> states;
   for (const auto& output : outputs_) {
     output->show(out.pixels, out.source.time);
-    const FrameOutput::Counts counts = output->counts();
+    const FrameOutput::OutputCounts counts = output->counts();
     states.push_back({output->name(), counts.shown, counts.overtaken, output->trouble()});
   }
   state_.publish_outputs(std::move(states));

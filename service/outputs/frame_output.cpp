@@ -40,7 +40,7 @@ void FrameOutput::show(std::shared_ptr<const FramePixels> pixels, TimestampNs ca
   if (pixels) newest_.put({std::move(pixels), captured});
 }
 
-FrameOutput::Counts FrameOutput::counts() const {
+FrameOutput::OutputCounts FrameOutput::counts() const {
   const std::scoped_lock lock(mutex_);
   return {shown_, newest_.dropped()};
 }

@@ -54,11 +54,11 @@ class FrameOutput {
   void show(std::shared_ptr<const FramePixels> pixels, TimestampNs captured);
 
   /// Frames that nobody watches, or that a constant rate leaves out, count as neither.
-  struct Counts {
+  struct OutputCounts {
     std::uint64_t shown = 0;      // handed to the other program
     std::uint64_t overtaken = 0;  // by newer ones before they were
   };
-  Counts counts() const;
+  OutputCounts counts() const;
   const std::string& name() const { return name_; }
   /// Why nothing comes out; empty while all is well.
   std::string trouble() const;
