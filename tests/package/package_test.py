@@ -72,11 +72,15 @@ def check_packages(build, folder, library):
         packages[name] = run("dpkg-deb", "--field", file, "Depends"), run("dpkg-deb", "--contents", file)
     check(sorted(packages) == [library, "penumbra-dev", "penumbra-tools"],
           f"the packages are {sorted(packages)}")
-    for name, files in ((library, [f"/libpenumbra.so.{version_of(build)}"]),
+    for name, files in ((library, [f"/libpenumbra.so.{version_of(build)}", "/libpenumbra_client.so.0",
+                                  "/api_layers/explicit.d/XrApiLayer_penumbra_light.json",
+                                  "/penumbra/libpenumbra_openxr_layer.so"]),
                         ("penumbra-dev", ["/penumbra/runtime/pipeline/pipeline.h", "/penumbraConfig.cmake",
-                                          "/pkgconfig/penumbra.pc", "/libpenumbra_lighting.a"]),
+                                          "/pkgconfig/penumbra.pc", "/libpenumbra_lighting.a",
+                                          "/penumbra/client/penumbra_client.h"]),
                         ("penumbra-tools", ["/bin/penumbra\n", "/bin/penumbrad\n", "/man1/penumbra.1",
-                                            "/completions/penumbra\n"])):
+                                            "/completions/penumbra\n", "/systemd/system/penumbrad.service",
+                                            "/sysusers.d/penumbra.conf", "/penumbra/rig.toml"])):
         depends, contents = packages[name]
         for file in files:
             check(file in contents, f"{name} has no {file.strip()}")
@@ -86,7 +90,7 @@ def check_packages(build, folder, library):
     return archives
 
 
-COMPONENTS = "core codec camera calib capture devices lighting prt shadows compositor runtime".split()
+COMPONENTS = "client core codec camera calib capture devices lighting prt shadows compositor runtime".split()
 
 
 def check_components(prefix, folder, environment):
