@@ -67,7 +67,7 @@ json light_json(const PublishedState::Snapshot& s, double stale_after_s) {
   return body;
 }
 
-json to_json(const LiveRecording::RecordingState& r) {
+json to_json(const RecordingState& r) {
   const auto sum = [](const std::vector<std::uint64_t>& of_cameras) {
     std::uint64_t out = 0;
     for (const std::uint64_t n : of_cameras) out += n;

@@ -164,7 +164,7 @@ Result<std::string> LiveRecording::start(const std::string& name) {
   return state_->file;
 }
 
-Result<LiveRecording::RecordingState> LiveRecording::stop() {
+Result<RecordingState> LiveRecording::stop() {
   {
     const std::scoped_lock lock(mutex_);
     if (!branch_) return fail(ErrorCode::kNotFound, "recording", "does not go on");
@@ -174,7 +174,7 @@ Result<LiveRecording::RecordingState> LiveRecording::stop() {
   return *state_;
 }
 
-std::optional<LiveRecording::RecordingState> LiveRecording::state() const {
+std::optional<RecordingState> LiveRecording::state() const {
   const std::scoped_lock lock(mutex_);
   return state_;
 }

@@ -17,6 +17,14 @@
 
 namespace penumbra::service {
 
+struct RecordingState {
+  std::string file;  // in the folder
+  RecordCounts counts;
+  std::uint64_t overrun = 0;  // frames that came faster than they were taken
+  bool active = true;
+  std::string error;  // why it ended, where it did not end well
+};
+
 class LiveRecording {
  public:
   /// folder: where recordings and snapshots go; made when it is needed
@@ -26,13 +34,6 @@ class LiveRecording {
   /// The source as before, from which frames are also recorded. Both outlive it.
   std::unique_ptr<capture::FrameSource> tap(capture::FrameSource& source);
 
-  struct RecordingState {
-    std::string file;  // in the folder
-    RecordCounts counts;
-    std::uint64_t overrun = 0;  // frames that came faster than they were taken
-    bool active = true;
-    std::string error;  // why it ended, where it did not end well
-  };
   /// name: of the file, without folder, ending in .mkv; empty: by date and time
   /// out: the file's name
   /// errors: kInvalid (a bad name, a file that is there), kUnavailable (one goes on already, no

@@ -69,7 +69,7 @@ nlohmann::json health_json(HttpContext& context);
 nlohmann::json light_json(const PublishedState::Snapshot& now, double stale_after_s);
 /// An event of /v1/events.
 nlohmann::json state_json(HttpContext& context);
-nlohmann::json to_json(const LiveRecording::RecordingState& recording);
+nlohmann::json to_json(const RecordingState& recording);
 /// The text format of Prometheus, version 0.0.4.
 std::string metrics_text(HttpContext& context);
 
