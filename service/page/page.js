@@ -578,9 +578,11 @@ function showPreparing(preparing) {
     label.children[1].textContent = percent(preparing[names[i]]);
   });
 }
+// The service goes on telling of the last recording when it has ended.
 function showRecording(recording) {
-  setText("record-button", recording ? "Stop recording" : "Record");
-  $("file").disabled = recording !== null;
+  const goesOn = Boolean(recording?.active);
+  setText("record-button", goesOn ? "Stop recording" : "Record");
+  $("file").disabled = goesOn;
   setText("recording", recording ? `${recording.file}: ${duration(recording.seconds)}, ` +
     `${count(recording.frames, "frame")}, ${significant(recording.bytes / 1e6)} MB` +
     (recording.dropped ? `, ${recording.dropped} dropped` : "") : "");
@@ -728,7 +730,7 @@ async function press(button, request, done) {
 function listenToButtons() {
   $("record").addEventListener("submit", (event) => {
     event.preventDefault();
-    const file = $("file").value.trim(), stops = Boolean(state?.recording);
+    const file = $("file").value.trim(), stops = Boolean(state?.recording?.active);
     if (stops) press($("record-button"), () => ask("DELETE", "/v1/recording"), () => "Recording stopped");
     else press($("record-button"), () => ask("POST", "/v1/recording", file ? { file } : {}), () => "Recording");
   });

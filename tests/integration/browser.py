@@ -44,7 +44,7 @@ def wait_until(condition, seconds, what, every_s=.1):
 class Browser:
     """One headless window, with a profile below `folder`."""
 
-    def __init__(self, folder, patience=1):
+    def __init__(self, folder, patience=1, flags=()):
         self.patience = patience
         port = free_port()
         self.log = open(folder / "chromedriver.log", "wb")
@@ -54,7 +54,7 @@ class Browser:
         self.session = ""
         try:
             wait_until(self.is_ready, 30 * patience, "chromedriver answers")
-            self.session = f"/session/{self.ask('POST', '/session', capabilities(folder))['sessionId']}"
+            self.session = f"/session/{self.ask('POST', '/session', capabilities(folder, flags))['sessionId']}"
         except BaseException:
             self.close()
             raise
@@ -145,8 +145,8 @@ class Browser:
         path.write_bytes(base64.b64decode(shot["data"]))
 
 
-def capabilities(folder):
-    flags = ["--headless=new", "--disable-gpu", "--disable-dev-shm-usage", "--hide-scrollbars=false",
+def capabilities(folder, more_flags):
+    flags = [*more_flags, "--headless=new", "--disable-gpu", "--disable-dev-shm-usage", "--hide-scrollbars=false",
              "--window-size=1280,900", f"--user-data-dir={folder / 'chromium'}"]
     if os.geteuid() == 0:  # Chromium's sandbox refuses root
         flags.append("--no-sandbox")

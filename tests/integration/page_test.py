@@ -292,6 +292,26 @@ class Page(CliTest):
                         "the refusal is told")
         self.assertIn("max_shadow_error", self.browser.text("#said"))
 
+    def test_record_and_snapshot_write_files(self):
+        folder = self.service.folder / "recordings"
+        self.browser.type_into("#file", "take.mkv")
+        self.browser.click("#record-button")
+        self.wait_until(lambda: self.browser.text("#record-button") == "Stop recording", "it records")
+        self.wait_until(lambda: re.match(r"take\.mkv: .*[1-9]\d* frames", self.browser.text("#recording")),
+                        "the recording is told")
+        self.browser.click("#record-button")
+        self.wait_until(lambda: self.browser.text("#said") == "Recording stopped", "it is said")
+        self.wait_until(lambda: self.browser.text("#record-button") == "Record", "it records no more")
+        self.assertEqual((folder / "take.mkv").read_bytes()[:4], b"\x1a\x45\xdf\xa3")  # Matroska's first element
+        self.browser.click("#record-button")
+        self.wait_until(lambda: self.browser.run("return document.getElementById('said').matches('.fault')"),
+                        "a file that is there is refused")
+        self.assertIn("take.mkv", self.browser.text("#said"))
+        self.browser.click("#snapshot")
+        said = self.wait_until(lambda: re.fullmatch(r"Saved (\S+\.png)", self.browser.text("#said")), "it is saved")
+        width, height, _ = files.read_png(folder / Path(said[1]).name)
+        self.assertEqual((width, height), (WIDTH, HEIGHT))
+
     def test_fits_a_phone_in_dark_and_light(self):
         grounds = {}
         for scheme in ("dark", "light"):
