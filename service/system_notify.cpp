@@ -18,7 +18,7 @@ void notify_system(const std::string& state) {
   sockaddr_un name{};
   name.sun_family = AF_UNIX;
   if (!path || std::strlen(path) < 2 || std::strlen(path) >= sizeof name.sun_path) return;
-  std::memcpy(name.sun_path, path, std::strlen(path));  // and the zeros that are there
+  std::memcpy(name.sun_path, path, std::strlen(path));   // and the zeros that are there
   if (name.sun_path[0] == '@') name.sun_path[0] = '\0';  // an abstract one
   const int socket = ::socket(AF_UNIX, SOCK_DGRAM | SOCK_CLOEXEC, 0);
   if (socket < 0) return;

@@ -312,7 +312,10 @@ TEST(HttpApi, ANewObjectPlaceIsInTheNextFrame) {
   Served s;
   SceneControl& objects = s.objects;
   httplib::Client& client = *s.client;
-  SceneKeeper keeper(options.bake, options.progress,
+  ::setenv("XDG_CACHE_HOME", s.folder.path().c_str(), 1);  // what comes again is not baked again
+  runtime::BakeSettings kept = options.bake;
+  kept.cache = runtime::BakeCache::kUsed;
+  SceneKeeper keeper(kept, options.progress,
                      [&](const runtime::Scene&, runtime::PreparedScene prepared) {
                        EXPECT_TRUE(pipeline->change_scene(std::move(prepared)));
                      });
