@@ -128,6 +128,7 @@ class Service {
   Result<void> listen();
   Result<void> open_outputs(double rate_hz);
   Result<void> compose(capture::FrameSource& source, const std::atomic<bool>& stop);
+  [[noreturn]] void end_at_once(const std::optional<Error>& failed);
   void reload();
   void publish(const runtime::Output& out, const capture::FrameSource& source,
                const Pipeline& pipeline);
@@ -150,6 +151,8 @@ class Service {
 // Of what the scene file says now.
 void Service::reload() {
   if (!config_.scene) return log_info("reload: the studio's own scene has no file");
+  if (!objects_.follows_file())
+    return log_info("reload: another scene was asked for: {} is not looked at", *config_.scene);
   notify_system("RELOADING=1");
   const auto now = runtime::read_scene(*config_.scene);
   if (now) {
@@ -157,7 +160,8 @@ void Service::reload() {
       const std::scoped_lock lock(scenes_mutex_);
       return shown_;
     }();
-    if (apply_scene(shown, scene_now_, *now, objects_)) objects_.follow_file(scene_now_, *now);
+    const bool bakes = apply_scene(shown, scene_now_, *now, objects_);
+    objects_.follow_file(scene_now_, *now, bakes);
     scene_now_ = *now;
     log_info("reload: {} is read anew", *config_.scene);
   } else {
@@ -238,17 +242,19 @@ Result<void> Service::compose(capture::FrameSource& source, const std::atomic<bo
     });
   runtime::BakeSettings settings;
   settings.bands = config_.bands;
-  SceneKeeper keeper(settings, progress_,
-                     [&](const runtime::Scene& scene, runtime::PreparedScene prepared) {
-                       if (const auto taken = pipeline.change_scene(std::move(prepared)); !taken)
-                         log_warning("{}: {}", taken.error().where, taken.error().detail);
-                       ::malloc_trim(0);  // what a bake and the scene before took
-                       const std::scoped_lock lock(scenes_mutex_);
-                       shown_ = scene;
-                     });
-  const AttachedPipeline attached(objects_, pipeline, keeper);
+  const auto ready = [&](const runtime::Scene& scene,
+                         runtime::PreparedScene prepared) -> Result<void> {
+    PENUMBRA_TRY(pipeline.change_scene(std::move(prepared)));
+    ::malloc_trim(0);  // what a bake and the scene before took
+    const std::scoped_lock lock(scenes_mutex_);
+    shown_ = scene;
+    return {};
+  };
+  SceneKeeper keeper(settings, progress_, ready,
+                     [&](const std::string& object) { objects_.forget(object); });
   objects_.set_scene(rig_.scene);
   keeper.want(rig_.scene);
+  auto attached = std::make_optional<AttachedPipeline>(objects_, pipeline, keeper);
   std::signal(SIGHUP, on_reload);
   std::atomic<std::int64_t> turned_ns = now_ns();
   const Watchdog watchdog([&] { return now_ns() - turned_ns < kStuck_ns; });
@@ -265,19 +271,28 @@ Result<void> Service::compose(capture::FrameSource& source, const std::atomic<bo
   };
   const auto counts = pipeline.run_live(source, sink, stop);
   notify_system("STOPPING=1");
-  if (failed) return std::unexpected(*failed);
-  PENUMBRA_TRY(counts);
-  log_info("stopped after {} frames in {:.1f} s; {} view and {} environment frames dropped",
-           counts->frames, counts->seconds, counts->overtaken.view, counts->overtaken.environment);
-  tell_losses(source.cameras(), source.counts());
-  if (keeper.is_busy()) {
-    // A bake cannot be told to stop. It leaves nothing half-written.
-    (void)recording_.stop();
-    log_info("stopped while objects were baked");
-    page_.reset(), socket_.reset(), tcp_.reset();
-    std::_Exit(0);
+  attached.reset();  // nobody asks for another bake
+  if (!failed && !counts) failed = counts.error();
+  if (!failed) {
+    log_info("stopped after {} frames in {:.1f} s; {} view and {} environment frames dropped",
+             counts->frames, counts->seconds, counts->overtaken.view,
+             counts->overtaken.environment);
+    tell_losses(source.cameras(), source.counts());
   }
+  if (keeper.is_busy()) end_at_once(failed);
+  if (failed) return std::unexpected(*failed);
   return {};
+}
+
+// A bake cannot be told to stop. It leaves nothing half-written.
+void Service::end_at_once(const std::optional<Error>& failed) {
+  (void)recording_.stop();
+  if (failed)
+    log_warning("{}: {}: the service ends", failed->where, failed->detail);
+  else
+    log_info("stopped while objects were baked");
+  page_.reset(), socket_.reset(), tcp_.reset();
+  std::_Exit(failed ? 2 : 0);
 }
 
 Result<void> Service::run() {

@@ -48,11 +48,12 @@ template <class T>
 class Latest : public Closable {
  public:
   void put(T value) {
+    std::optional<T> dropped;  // ends outside the lock
     {
       const std::scoped_lock lock(mutex_);
       if (closed_) return;
       if (slot_) ++dropped_;
-      slot_ = std::move(value);
+      dropped = std::exchange(slot_, std::move(value));
     }
     changed_.notify_one();
   }

@@ -147,9 +147,10 @@ Result<Pipeline::Impl::NextStage> Pipeline::Impl::prepare_next(
 runtime::CompositeStage* Pipeline::Impl::take_next_stage() {
   auto next = next_stage.take();
   if (!next) return nullptr;
-  next->stage->moves().go_on_from(composite->moves());
   {
+    // A move that comes now goes to either, but to neither in vain.
     const std::scoped_lock lock(stage_mutex);
+    next->stage->moves().go_on_from(composite->moves());
     std::swap(composite, next->stage);
   }
   next->stage.reset();  // refers to the scene before
@@ -299,15 +300,19 @@ Result<void> Pipeline::change_scene(runtime::PreparedScene scene) {
     if (impl_->composite->output().has_window())
       return fail(ErrorCode::kUnavailable, "scene", "cannot change in a pipeline with a window");
   }
+  std::optional<lighting::GovernorConfig> config;
   if (impl_->light) {
-    PENUMBRA_ASSIGN(config, impl_->make_governor(scene));
-    const std::scoped_lock lock(impl_->governor_mutex);
-    config.limits.max_error = impl_->governor.limits.max_error;
-    impl_->governor = config;
-    impl_->next_governor.put(config);
+    PENUMBRA_ASSIGN(made, impl_->make_governor(scene));
+    config = made;
   }
-  PENUMBRA_ASSIGN(next,
-                  impl_->prepare_next(std::make_shared<runtime::PreparedScene>(std::move(scene))));
+  PENUMBRA_ASSIGN(next, impl_->prepare_next(
+                            std::make_shared<runtime::PreparedScene>(std::move(scene))));
+  if (config) {
+    const std::scoped_lock lock(impl_->governor_mutex);
+    config->limits.max_error = impl_->governor.limits.max_error;
+    impl_->governor = *config;
+    impl_->next_governor.put(*config);
+  }
   impl_->next_stage.put(std::move(next));
   return {};
 }

@@ -245,10 +245,14 @@ Result<PreparedScene> prepare(
     append(out.real_mesh, mesh);
   }
   AssetBakes bakes(settings.cache);
+  BakeSettings coarse = BakeSettings::coarse();
+  coarse.bands = settings.bands;
   for (const SceneObject& object : scene.objects) {
     PENUMBRA_ASSIGN(prepared,
-                    prepare_object(object, out, settings, bakes, progress("bake " + object.name)));
+                    prepare_object(object, out, object.coarse ? coarse : settings, bakes,
+                                   progress("bake " + object.name)));
     prepared.visible = object.visible;
+    prepared.instance = object.instance;
     out.objects.push_back(std::move(prepared));
   }
   if (out.real_mesh.triangles.empty() || out.objects.empty()) return out;

@@ -49,6 +49,9 @@ struct SceneObject : Placement {
   Rgb albedo{.7f, .7f, .7f};
   double spin_rpm = 0;  // turntable about the receiver's normal
   bool visible = true;  // from the start
+  // Not of files: baked as BakeSettings::coarse() for now, and which one of that name it is
+  bool coarse = false;
+  unsigned instance = 0;
 };
 
 struct RealPlane {
@@ -142,6 +145,7 @@ struct PreparedObject {
   std::shared_ptr<LiveTransfer> live{};  // of one that plays; null: made by begin_live
   std::vector<glm::mat3> turns{};        // of its bones then
   bool visible = true;                   // from the start
+  unsigned instance = 0;                 // which one of that name, see SceneObject
 
   /// Placement at a time: the turntable turns about the bake frame's y.
   Pose pose_at(double seconds) const;

@@ -101,7 +101,7 @@ ObjectMoves::ObjectMoves(const PreparedScene& scene)
     : scene_(scene), places_(scene.objects.size()), playing_(scene.objects.size()) {
   for (const PreparedObject& o : scene.objects) {
     const prt::Bounds b = prt::bounds_of(o.baked.mesh);
-    resting_.push_back({o.name, o.world_from_bake, o.baked.receiver.has_value(),
+    resting_.push_back({o.name, o.instance, o.world_from_bake, o.baked.receiver.has_value(),
                         o.animation || o.spin_rpm != 0, o.animation && o.animation->blend,
                         glm::dvec3(b.centre()), double(glm::length(b.high - b.low)) / 2});
   }
@@ -297,7 +297,7 @@ void ObjectMoves::go_on_from(const ObjectMoves& before) {
   now_s_ = before.now_s_;
   for (std::size_t i = 0; i < resting_.size(); ++i) {
     const auto found = std::ranges::find(before.resting_, resting_[i].name, &Resting::name);
-    if (found == before.resting_.end()) continue;
+    if (found == before.resting_.end() || found->instance != resting_[i].instance) continue;
     const auto was = static_cast<std::size_t>(found - before.resting_.begin());
     visible_[i] = before.visible_[was];
     if (resting_[i].plays && found->plays) playing_[i] = before.playing_[was];

@@ -93,7 +93,7 @@ class ObjectMoves {
   double now_s() const;
   /// As at() last gave them, with what was asked for since.
   std::vector<ObjectState> states() const;
-  /// Objects that were there before, by name, stay where they are and go on with what they do.
+  /// Objects that were there before, by name and instance, stay where they are and go on with what they do.
   /// One that stands on another plane now begins as its own scene has it.
   void go_on_from(const ObjectMoves& before);
 
@@ -105,6 +105,7 @@ class ObjectMoves {
   // As the scene has it. Others change an object while it plays.
   struct Resting {
     std::string name;
+    unsigned instance;
     Pose world_from_bake;
     bool on_plane;
     bool plays, blends;

@@ -85,7 +85,7 @@ void change_budget(HttpContext& context, const Request& q, Response& r) {
   SceneControl& objects = context.sources.objects;
   if (const auto done = objects.set_max_shadow_error(value->get<double>()); !done)
     return refuse(r, done.error());
-  reply(r, {{"max_shadow_error", *objects.max_shadow_error()}});
+  reply(r, {{"max_shadow_error", value->get<double>()}});
 }
 
 void start_recording(HttpContext& context, const Request& q, Response& r) {

@@ -10,10 +10,12 @@
 
 #include <algorithm>
 #include <cctype>
+#include <csignal>
 #include <thread>
 
 #include "codec/codec.h"
 #include "codec/display.h"
+#include "core/io/log.h"
 #include "runtime/pipeline/report.h"
 #include "service/http/internal/context.h"
 #include "service/http/internal/workers.h"
@@ -166,7 +168,8 @@ struct HttpApi::Impl {
   bool is_refused(const Request& q, Response& r, bool tcp) const {
     const HttpOptions& o = context.options;
     const bool has_body = q.method == "POST" || q.method == "PUT" || q.method == "PATCH";
-    if (has_body && !q.has_header("Content-Length") && !q.has_header("Transfer-Encoding")) {
+    // In parts it could be of any length.
+    if (q.has_header("Transfer-Encoding") || (has_body && !q.has_header("Content-Length"))) {
       reply(r, {{"error", "the request does not say how long its body is"}}, 411);
       return true;
     }
@@ -235,6 +238,14 @@ struct HttpApi::Impl {
     });
   }
 
+  // A service that nobody can ask is better begun anew.
+  void listen(httplib::Server& server) const {
+    (void)server.listen_after_bind();
+    if (context.stopping) return;
+    log_warning("http: the system takes no more connections: the service ends");
+    std::raise(SIGTERM);
+  }
+
   Result<void> listen_on_tcp() {
     const HttpOptions& o = context.options;
     if (!is_loopback(o.address) && o.token.empty())
@@ -245,7 +256,7 @@ struct HttpApi::Impl {
     if (*o.port == 0 ? port <= 0 : !over_tcp.bind_to_port(o.address, port))
       return fail(ErrorCode::kUnavailable, fmt::format("{}:{}", o.address, *o.port),
                   "cannot be listened on: is it in use?");
-    tcp_thread = std::jthread([this] { over_tcp.listen_after_bind(); });
+    tcp_thread = std::jthread([this] { listen(over_tcp); });
     return {};
   }
 
@@ -261,7 +272,7 @@ struct HttpApi::Impl {
       return fail(ErrorCode::kUnavailable, context.options.socket.string(),
                   "cannot be made a socket");
     socket = context.options.socket;
-    socket_thread = std::jthread([this] { over_socket.listen_after_bind(); });
+    socket_thread = std::jthread([this] { listen(over_socket); });
     return {};
   }
 

@@ -5,6 +5,7 @@
 
 #include <algorithm>
 #include <cctype>
+#include <chrono>
 #include <ctime>
 #include <utility>
 
@@ -114,8 +115,11 @@ Result<fs::path> LiveRecording::new_file(const std::string& stem, const std::str
   std::error_code error;
   fs::create_directories(folder_, error);
   if (error) return fail(ErrorCode::kUnwritable, folder_.string(), error.message());
+  const auto now = std::chrono::system_clock::now().time_since_epoch();
+  const auto ms = std::chrono::duration_cast<std::chrono::milliseconds>(now).count();
   const std::string dated =
-      fmt::format("{}_{:%Y%m%d_%H%M%S}", stem, fmt::localtime(std::time(nullptr)));
+      fmt::format("{}_{:%Y%m%d_%H%M%S}_{:03}", stem,
+                  fmt::localtime(static_cast<std::time_t>(ms / 1000)), ms % 1000);
   fs::path out = folder_ / (dated + extension);
   for (int i = 2; fs::exists(out, error); ++i)
     out = folder_ / fmt::format("{}_{}{}", dated, i, extension);

@@ -53,6 +53,7 @@ class LiveRecording {
   class Tap;
   void end_thread();
   const std::filesystem::path folder_;
+  std::mutex control_mutex_;  // one start, stop or end at a time; before mutex_
   mutable std::mutex mutex_;
   capture::FrameSource* source_ = nullptr;  // guarded by mutex_, as are all below
   std::shared_ptr<Branch> branch_;          // while one goes on

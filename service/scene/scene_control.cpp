@@ -77,11 +77,11 @@ constexpr std::string_view kNewKeys[] = {"name",   "asset",    "position_m", "tu
                                          "size_m", "spin_rpm", "albedo",     "animation"};
 
 Result<std::string> text(const json& value, const std::string& key) {
-  constexpr std::size_t kLongest = 64;
+  constexpr std::size_t kLongest = 63;  // as the light's page has room for
   if (!value.is_string()) return fail(ErrorCode::kInvalid, key, "is not a text");
   const auto& out = value.get_ref<const std::string&>();
   if (out.empty() || out.size() > kLongest)
-    return fail(ErrorCode::kInvalid, key, "is empty or longer than 64 bytes");
+    return fail(ErrorCode::kInvalid, key, "is empty or longer than 63 bytes");
   if (std::ranges::any_of(out, [](unsigned char c) { return c < 0x20 || c == 0x7f; }))
     return fail(ErrorCode::kInvalid, key, "holds control characters");
   return out;
@@ -152,8 +152,9 @@ std::unexpected<Error> no_lamp(std::size_t lamp) {
   return fail(ErrorCode::kNotFound, fmt::format("lamp {}", lamp), "is not in the scene");
 }
 
-bool has_object(const runtime::Scene& scene, const std::string& name) {
-  return std::ranges::find(scene.objects, name, &runtime::SceneObject::name) != scene.objects.end();
+const runtime::SceneObject* named(const runtime::Scene& scene, const std::string& name) {
+  const auto found = std::ranges::find(scene.objects, name, &runtime::SceneObject::name);
+  return found == scene.objects.end() ? nullptr : &*found;
 }
 
 constexpr double kFarthest_m = 1e4;  // beyond it floats have no room for a shadow
@@ -229,6 +230,13 @@ Result<shadows::Lamp> read_lamp_change(std::string_view text, const shadows::Lam
   return out;
 }
 
+bool is_another_bake(const runtime::SceneObject& a, const runtime::SceneObject& b) {
+  return a.asset != b.asset || a.animation != b.animation || a.transfer != b.transfer ||
+         a.blend != b.blend || a.live != b.live || !(a.albedo == b.albedo) || a.scale != b.scale ||
+         a.place_on_floor != b.place_on_floor || a.fit_size_m != b.fit_size_m ||
+         a.spin_rpm != b.spin_rpm || a.light_map != b.light_map;
+}
+
 bool have_same_lamps(const runtime::Scene& a, const runtime::Scene& b) {
   return std::ranges::equal(a.lamps, b.lamps, [](const auto& x, const auto& y) {
     return x.position == y.position && x.radius_m == y.radius_m &&
@@ -287,7 +295,7 @@ Result<void> SceneControl::change(std::string_view object, const ObjectChange& c
 Result<void> SceneControl::add(const runtime::SceneObject& object) {
   const std::scoped_lock lock(mutex_);
   if (!keeper_) return starting();
-  if (has_object(scene_, object.name))
+  if (named(scene_, object.name))
     return fail(ErrorCode::kInvalid, fmt::format("object \"{}\"", object.name),
                 "is in the scene already");
   if (glm::length(object.position) > kFarthest_m)
@@ -297,6 +305,8 @@ Result<void> SceneControl::add(const runtime::SceneObject& object) {
                 fmt::format("has {} objects, and more are not taken", kMaxObjects));
   scene_.objects.push_back(object);
   scene_.objects.back().position = on_nearest_floor(scene_, object.position);
+  scene_.objects.back().instance = ++instances_;
+  added_.insert(object.name);
   keeper_->want(scene_);
   return {};
 }
@@ -336,22 +346,30 @@ Result<void> SceneControl::show_scene(const runtime::Scene& scene) {
   const std::scoped_lock lock(mutex_);
   if (!keeper_) return starting();
   scene_ = scene;
+  for (runtime::SceneObject& o : scene_.objects) o.instance = ++instances_;
+  added_.clear(), taken_away_.clear();
+  follows_file_ = false;
   keeper_->want(scene_);
   return {};
 }
 
-void SceneControl::follow_file(const runtime::Scene& last, const runtime::Scene& now) {
+void SceneControl::follow_file(const runtime::Scene& last, const runtime::Scene& now, bool bakes) {
   const std::scoped_lock lock(mutex_);
   runtime::Scene wanted = now;
-  // What clients took away stays away, and what they added stays.
   std::erase_if(wanted.objects, [&](const auto& o) {
-    return has_object(last, o.name) && !has_object(scene_, o.name);
+    return taken_away_.contains(o.name) || added_.contains(o.name);
   });
+  for (runtime::SceneObject& o : wanted.objects) {
+    const runtime::SceneObject* const before = named(last, o.name);
+    const runtime::SceneObject* const mine = named(scene_, o.name);
+    const bool is_another = !before || !mine || is_another_bake(*before, o);
+    o.instance = is_another ? ++instances_ : mine->instance;
+  }
   for (const runtime::SceneObject& o : scene_.objects)
-    if (!has_object(last, o.name) && !has_object(now, o.name)) wanted.objects.push_back(o);
+    if (added_.contains(o.name)) wanted.objects.push_back(o);
   if (have_same_lamps(last, now)) wanted.lamps = scene_.lamps;
   scene_ = wanted;
-  if (keeper_) keeper_->want(std::move(wanted));
+  if (keeper_ && bakes) keeper_->want(std::move(wanted));
 }
 
 Result<void> SceneControl::remove(const std::string& object) {
@@ -359,11 +377,24 @@ Result<void> SceneControl::remove(const std::string& object) {
   if (!keeper_) return starting();
   const bool shown = find(object).has_value();
   if (shown) PENUMBRA_TRY(pipeline_->show_object(object, false));
-  if (std::erase_if(scene_.objects, [&](const auto& o) { return o.name == object; }) > 0)
+  if (std::erase_if(scene_.objects, [&](const auto& o) { return o.name == object; }) > 0) {
+    if (added_.erase(object) == 0) taken_away_.insert(object);
     keeper_->want(scene_);
-  else if (!shown)
+  } else if (!shown) {
     return fail(ErrorCode::kNotFound, fmt::format("object \"{}\"", object), "is not in the scene");
+  }
   return {};
+}
+
+void SceneControl::forget(const std::string& object) {
+  const std::scoped_lock lock(mutex_);
+  std::erase_if(scene_.objects, [&](const auto& o) { return o.name == object; });
+  added_.erase(object);
+}
+
+bool SceneControl::follows_file() const {
+  const std::scoped_lock lock(mutex_);
+  return follows_file_;
 }
 
 Result<void> SceneControl::set_max_shadow_error(double error) {

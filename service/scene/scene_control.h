@@ -7,6 +7,7 @@
 #include <mutex>
 #include <nlohmann/json.hpp>
 #include <optional>
+#include <set>
 #include <string>
 #include <string_view>
 
@@ -32,7 +33,7 @@ Result<ObjectChange> read_object_change(std::string_view json);
 
 /// An object that a client adds, on the plane under its place.
 /// assets: the folder that files are taken from; empty: built-in ones alone
-/// errors: kInvalid (as read_object_change; a name that is missing or longer than 64 bytes; a file
+/// errors: kInvalid (as read_object_change; a name that is missing or longer than 63 bytes; a file
 ///         outside of the folder), kNotFound (no such file)
 Result<runtime::SceneObject> read_new_object(std::string_view json,
                                              const std::filesystem::path& assets);
@@ -41,6 +42,8 @@ Result<runtime::SceneObject> read_new_object(std::string_view json,
 /// errors: kInvalid (as read_object_change; a radius or a light out of range)
 Result<shadows::Lamp> read_lamp_change(std::string_view json, const shadows::Lamp& before);
 
+/// Whether more than place, turn and visibility differs.
+bool is_another_bake(const runtime::SceneObject& a, const runtime::SceneObject& b);
 bool have_same_lamps(const runtime::Scene& a, const runtime::Scene& b);
 
 /// The scene of a file in a folder.
@@ -77,8 +80,14 @@ class SceneControl {
   /// errors: kUnavailable (no pipeline yet)
   Result<void> show_scene(const runtime::Scene& scene);
   /// The scene's file was read anew. What it no longer has goes, what it has now comes, and what
-  /// clients added or took away stays so.
-  void follow_file(const runtime::Scene& last, const runtime::Scene& now);
+  /// clients added or took away stays so. Objects that are baked otherwise than before begin where
+  /// the file has them.
+  /// bakes: whether anything has to be baked, or looked up in the cache
+  void follow_file(const runtime::Scene& last, const runtime::Scene& now, bool bakes);
+  /// It cannot be baked: from now on the scene is without it.
+  void forget(const std::string& object);
+  /// Whether the scene is still that of its file: not once another one was asked for.
+  bool follows_file() const;
   /// errors: kUnavailable (no pipeline yet), kInvalid (not above 0 and at most 1)
   Result<void> set_max_shadow_error(double error);
 
@@ -98,7 +107,10 @@ class SceneControl {
   mutable std::mutex mutex_;
   Pipeline* pipeline_ = nullptr;  // guarded by mutex_, as are all below
   SceneKeeper* keeper_ = nullptr;
-  runtime::Scene scene_;  // as it is wanted
+  runtime::Scene scene_;                      // as it is wanted
+  std::set<std::string> added_, taken_away_;  // by clients, of the file's scene
+  bool follows_file_ = true;
+  unsigned instances_ = 0;  // of objects, so far
 };
 
 }  // namespace penumbra::service

@@ -20,11 +20,8 @@ Result<runtime::PreparedScene> prepare_safely(const runtime::Scene& scene,
   }
 }
 
-runtime::BakeSettings coarse_of(const runtime::BakeSettings& settings) {
-  runtime::BakeSettings out = runtime::BakeSettings::coarse();
-  out.bands = settings.bands;
-  out.cache = settings.cache;
-  return out;
+bool has_object(const runtime::Scene& scene, const std::string& name) {
+  return std::ranges::find(scene.objects, name, &runtime::SceneObject::name) != scene.objects.end();
 }
 
 runtime::Scene with_objects(const runtime::Scene& scene, std::size_t count) {
@@ -33,12 +30,18 @@ runtime::Scene with_objects(const runtime::Scene& scene, std::size_t count) {
   return out;
 }
 
+std::function<void(double)> no_progress(const std::string&) {
+  return [](double) {};
+}
+
 }  // namespace
 
-SceneKeeper::SceneKeeper(const runtime::BakeSettings& settings, ProgressOf progress, Ready ready)
+SceneKeeper::SceneKeeper(const runtime::BakeSettings& settings, ProgressOf progress, Ready ready,
+                         Failed failed)
     : settings_(settings),
       progress_(std::move(progress)),
       ready_(std::move(ready)),
+      failed_(std::move(failed)),
       thread_([this] { run(); }) {}
 
 SceneKeeper::~SceneKeeper() {
@@ -77,6 +80,14 @@ bool SceneKeeper::is_overtaken() const {
   return wanted_ || ends_;
 }
 
+// A client may have taken an object away while it was baked.
+bool SceneKeeper::brings_back_what_is_gone(const runtime::Scene& scene) const {
+  const std::scoped_lock lock(mutex_);
+  return wanted_ && std::ranges::any_of(scene.objects, [&](const auto& o) {
+           return !has_object(*wanted_, o.name);
+         });
+}
+
 void SceneKeeper::run() noexcept {
   while (true) {
     runtime::Scene scene;
@@ -87,60 +98,119 @@ void SceneKeeper::run() noexcept {
       if (ends_) return;
       scene = *std::exchange(wanted_, std::nullopt);
       busy_ = true;
-      faults_.clear();
+      std::erase_if(faults_, [&](const auto& f) { return has_object(scene, f.first); });
+      faults_.erase("scene");
     }
     prepare(std::move(scene));
   }
 }
 
-// in: whose fault it would be
-void SceneKeeper::hand_over(const runtime::Scene& scene, Result<runtime::PreparedScene> prepared,
-                            const std::string& object) {
-  if (prepared) {
-    ready_(scene, std::move(*prepared));
+void SceneKeeper::tell(const std::string& object, const Error& error) {
+  log_warning("{}: {}: {}", object, error.where, error.detail);
+  {
     const std::scoped_lock lock(mutex_);
-    if (!first_) first_.emplace();
-    return;
+    faults_[object] = error.where + " " + error.detail;
+    if (!first_) first_ = std::unexpected(error);
   }
-  log_warning("{}: {}: {}", object, prepared.error().where, prepared.error().detail);
+  if (failed_ && object != "scene") failed_(object);
+}
+
+// False where it is not shown.
+bool SceneKeeper::hand_over(const runtime::Scene& scene, Result<runtime::PreparedScene> prepared) {
+  if (!prepared) {
+    tell("scene", prepared.error());
+    return false;
+  }
+  if (brings_back_what_is_gone(scene)) return false;
+  Result<void> taken;
+  try {
+    taken = ready_(scene, std::move(*prepared));
+  } catch (const std::exception& e) {
+    taken = fail(ErrorCode::kUnavailable, "the scene", e.what());
+  }
+  if (!taken) {
+    tell("scene", taken.error());
+    return false;
+  }
+  shows_objects_ = !scene.objects.empty();
   const std::scoped_lock lock(mutex_);
-  faults_[object] = prepared.error().where + " " + prepared.error().detail;
-  if (!first_) first_ = std::unexpected(prepared.error());
+  if (!first_) first_.emplace();
+  return true;
 }
 
 // True where all of it was baked before.
 bool SceneKeeper::recall(const runtime::Scene& scene) {
   runtime::BakeSettings only = settings_;
   only.cache = runtime::BakeCache::kOnly;
-  auto recalled = prepare_safely(scene, only, progress_);
+  auto recalled = prepare_safely(scene, only, no_progress);
   if (!recalled) return false;  // for whatever reason: who bakes it tells
-  hand_over(scene, std::move(recalled), "scene");
+  (void)hand_over(scene, std::move(recalled));
   return true;
 }
 
-// One object after the other; those that cannot be baked leave the scene.
-void SceneKeeper::bake_coarsely(runtime::Scene& scene) {
-  const runtime::BakeSettings coarse = coarse_of(settings_);
-  for (std::size_t count = 1; count <= scene.objects.size() && !is_overtaken();) {
-    const runtime::Scene first = with_objects(scene, count);
-    auto prepared = prepare_safely(first, coarse, progress_);
-    const bool baked = prepared.has_value();
-    hand_over(first, std::move(prepared), scene.objects[count - 1].name);
-    if (baked)
-      ++count;
-    else
-      scene.objects.erase(scene.objects.begin() + static_cast<std::ptrdiff_t>(count) - 1);
+// Those that the cache does not hold as finely as is asked for.
+void SceneKeeper::mark_coarse(runtime::Scene& scene) const {
+  runtime::BakeSettings only = settings_;
+  only.cache = runtime::BakeCache::kOnly;
+  for (runtime::SceneObject& o : scene.objects) {
+    runtime::Scene alone = scene;
+    alone.objects = {o};
+    o.coarse = settings_.cache == runtime::BakeCache::kNotUsed ||
+               !prepare_safely(alone, only, no_progress);
   }
 }
 
+// Each shown as soon as it is there; those that cannot be baked leave the scene. False where no
+// more is to be baked.
+bool SceneKeeper::bake_one_by_one(runtime::Scene& scene) {
+  for (std::size_t count = 1; count <= scene.objects.size() && !is_overtaken();) {
+    const runtime::Scene first = with_objects(scene, count);
+    auto prepared = prepare_safely(first, settings_, progress_);
+    if (prepared) {
+      (void)hand_over(first, std::move(prepared));
+      ++count;
+      continue;
+    }
+    tell(scene.objects[count - 1].name, prepared.error());
+    scene.objects.erase(scene.objects.begin() + static_cast<std::ptrdiff_t>(count) - 1);
+    if (const auto outcome = first_outcome(); outcome && !*outcome) return false;
+  }
+  return true;
+}
+
+// All at once, so that nothing that is shown is missing meanwhile. An object that cannot be baked
+// leaves the scene.
+bool SceneKeeper::bake_beside_the_shown(runtime::Scene& scene) {
+  const bool keeps_bakes = settings_.cache != runtime::BakeCache::kNotUsed;
+  for (std::size_t i = 0; keeps_bakes && i < scene.objects.size() && !is_overtaken();) {
+    runtime::Scene alone = scene;
+    alone.objects = {scene.objects[i]};
+    const auto prepared = prepare_safely(alone, settings_, progress_);
+    if (prepared) {
+      ++i;
+      continue;
+    }
+    tell(scene.objects[i].name, prepared.error());
+    scene.objects.erase(scene.objects.begin() + static_cast<std::ptrdiff_t>(i));
+  }
+  if (is_overtaken()) return true;
+  return hand_over(scene, prepare_safely(scene, settings_, progress_));
+}
+
 void SceneKeeper::prepare(runtime::Scene scene) {
-  if (settings_.cache != runtime::BakeCache::kNotUsed && recall(scene)) return;
+  const bool uses_cache = settings_.cache != runtime::BakeCache::kNotUsed;
+  if (uses_cache && recall(scene)) return;
   // How finely a real mesh is cut depends on all objects: it would be baked anew with each.
   const bool has_real_mesh =
       std::ranges::any_of(scene.real, [](const auto& real) { return !real.plane; });
-  if (!has_real_mesh) bake_coarsely(scene);
+  if (!has_real_mesh) {
+    mark_coarse(scene);
+    const bool goes_on = shows_objects_ ? bake_beside_the_shown(scene) : bake_one_by_one(scene);
+    if (!goes_on) return;
+    for (runtime::SceneObject& o : scene.objects) o.coarse = false;
+  }
   if (is_overtaken()) return;
-  hand_over(scene, prepare_safely(scene, settings_, progress_), "scene");
+  (void)hand_over(scene, prepare_safely(scene, settings_, progress_));
 }
 
 }  // namespace penumbra::service

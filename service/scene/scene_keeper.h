@@ -18,13 +18,17 @@ namespace penumbra::service {
 /// Makes what is told how far a piece of work, by its name, has come.
 using ProgressOf = std::function<std::function<void(double)>(const std::string&)>;
 
-/// What the cache holds is ready at once. Else objects come one by one as they were baked coarsely,
-/// and then all of them as finely as was asked for.
+/// What the cache holds is ready at once. Other objects come as they were baked coarsely, at the
+/// start one by one, and then all of them as finely as was asked for. An object that is shown and
+/// wanted stays in the picture.
 class SceneKeeper {
  public:
   /// Is given each scene that is ready, and what it was made of, on the keeper's thread.
-  using Ready = std::function<void(const runtime::Scene&, runtime::PreparedScene)>;
-  SceneKeeper(const runtime::BakeSettings& settings, ProgressOf progress, Ready ready);
+  using Ready = std::function<Result<void>(const runtime::Scene&, runtime::PreparedScene)>;
+  /// Is told, there as well, of an object that cannot be baked; it is wanted no more.
+  using Failed = std::function<void(const std::string& object)>;
+  SceneKeeper(const runtime::BakeSettings& settings, ProgressOf progress, Ready ready,
+              Failed failed = {});
   /// Waits for a bake that goes on, which cannot be told to stop.
   ~SceneKeeper();
 
@@ -32,23 +36,29 @@ class SceneKeeper {
   void want(runtime::Scene scene);
   /// Whether something is baked or waits for it.
   bool is_busy() const;
-  /// Why objects of the newest scene are not there, by object; "scene" where it is none of them.
+  /// Why objects that were wanted are not there, by object; "scene" where it is none of them.
   std::map<std::string, std::string> faults() const;
-  /// Of the scene that was wanted first: nothing while no word of it can be said yet.
+  /// Of the scene that was wanted first: nothing while no word of it can be said yet. After a fault
+  /// no more of it is baked.
   std::optional<Result<void>> first_outcome() const;
 
  private:
   void run() noexcept;
   void prepare(runtime::Scene scene);
   bool recall(const runtime::Scene& scene);
-  void bake_coarsely(runtime::Scene& scene);
-  void hand_over(const runtime::Scene& scene, Result<runtime::PreparedScene> prepared,
-                 const std::string& object);
+  void mark_coarse(runtime::Scene& scene) const;
+  bool bake_one_by_one(runtime::Scene& scene);
+  bool bake_beside_the_shown(runtime::Scene& scene);
+  bool hand_over(const runtime::Scene& scene, Result<runtime::PreparedScene> prepared);
+  void tell(const std::string& object, const Error& error);
   bool is_overtaken() const;
+  bool brings_back_what_is_gone(const runtime::Scene& scene) const;
 
   const runtime::BakeSettings settings_;
   const ProgressOf progress_;
   const Ready ready_;
+  const Failed failed_;
+  bool shows_objects_ = false;  // of the keeper's thread alone
   mutable std::mutex mutex_;
   std::condition_variable changed_;
   std::optional<runtime::Scene> wanted_;  // guarded by mutex_, as are all below

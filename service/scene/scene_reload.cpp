@@ -22,13 +22,6 @@ std::optional<double> turn_deg(const glm::dquat& from, const glm::dquat& to) {
   return 2 * std::atan2(turn.y, turn.w) * 180 / std::numbers::pi;
 }
 
-bool is_another_bake(const SceneObject& a, const SceneObject& b) {
-  return a.asset != b.asset || a.animation != b.animation || a.transfer != b.transfer ||
-         a.blend != b.blend || a.live != b.live || !(a.albedo == b.albedo) || a.scale != b.scale ||
-         a.place_on_floor != b.place_on_floor || a.fit_size_m != b.fit_size_m ||
-         a.spin_rpm != b.spin_rpm || a.light_map != b.light_map;
-}
-
 const SceneObject* find(const runtime::Scene& scene, const std::string& name) {
   const auto found = std::ranges::find(scene.objects, name, &SceneObject::name);
   return found == scene.objects.end() ? nullptr : &*found;

@@ -317,7 +317,7 @@ TEST(HttpApi, ANewObjectPlaceIsInTheNextFrame) {
   kept.cache = runtime::BakeCache::kUsed;
   SceneKeeper keeper(kept, options.progress,
                      [&](const runtime::Scene&, runtime::PreparedScene prepared) {
-                       EXPECT_TRUE(pipeline->change_scene(std::move(prepared)));
+                       return pipeline->change_scene(std::move(prepared));
                      });
   objects.attach(&*pipeline, &keeper);
   objects.set_scene(scene);

@@ -8,6 +8,7 @@
 #include <deque>
 #include <functional>
 #include <mutex>
+#include <system_error>
 #include <thread>
 #include <vector>
 
@@ -21,8 +22,7 @@ class Workers : public httplib::TaskQueue {
     {
       const std::scoped_lock lock(mutex_);
       tasks_.push_back(std::move(task));
-      if (waiting_ < tasks_.size() && threads_.size() < limit_)
-        threads_.emplace_back([this] { work(); });
+      if (waiting_ < tasks_.size() && threads_.size() < limit_) add_worker();
     }
     changed_.notify_one();
   }
@@ -36,6 +36,14 @@ class Workers : public httplib::TaskQueue {
   }
 
  private:
+  // In the lock. Where the system has no more threads the task waits for those that there are.
+  void add_worker() {
+    try {
+      threads_.emplace_back([this] { work(); });
+    } catch (const std::system_error&) {
+      if (threads_.empty()) throw;
+    }
+  }
   void work() {
     std::unique_lock lock(mutex_);
     while (true) {
