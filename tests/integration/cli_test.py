@@ -523,7 +523,7 @@ class Serve(CliTest):
         for _ in range(300):
             status, _, body = self.get("/healthz")
             health = json.loads(body)
-            if health["status"] == "ok":
+            if health["status"] in ("ok", "slow"):  # a busy machine is slow
                 self.assertEqual(status, 200)
                 return health
             self.assertEqual(status, 503)

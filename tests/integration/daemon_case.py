@@ -142,7 +142,7 @@ class Daemon(CliTest):
 
     @classmethod
     def wait_for(cls, what, is_there):
-        for _ in range(int(600 * PATIENCE)):
+        for _ in range(int(1500 * PATIENCE)):  # five minutes: bakes are slow beside other tests
             if is_there():
                 return
             time.sleep(.2)

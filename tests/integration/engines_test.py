@@ -365,7 +365,7 @@ class ThreeJs(Shared):
         self.browser.open(f"http://{host}:{self.pages_port}/?daemon=http://127.0.0.1:{self.port}")
         self.wait_until(lambda: self.browser.run("return Boolean(window.sphere)"), "the page has run")
 
-    def wait_until(self, condition, what, seconds=20):
+    def wait_until(self, condition, what, seconds=60):
         try:
             return web.wait_until(condition, seconds * PATIENCE, what)
         except AssertionError as error:
