@@ -93,8 +93,8 @@ class ObjectMoves {
   double now_s() const;
   /// As at() last gave them, with what was asked for since.
   std::vector<ObjectState> states() const;
-  /// Objects that were there before, by name and instance, stay where they are and go on with what they do.
-  /// One that stands on another plane now begins as its own scene has it.
+  /// Objects that were there before, by name and instance, stay where they are and go on with what
+  /// they do. One that stands on another plane now begins as its own scene has it.
   void go_on_from(const ObjectMoves& before);
 
  private:
