@@ -305,8 +305,8 @@ Result<void> Pipeline::change_scene(runtime::PreparedScene scene) {
     PENUMBRA_ASSIGN(made, impl_->make_governor(scene));
     config = made;
   }
-  PENUMBRA_ASSIGN(next, impl_->prepare_next(
-                            std::make_shared<runtime::PreparedScene>(std::move(scene))));
+  PENUMBRA_ASSIGN(next,
+                  impl_->prepare_next(std::make_shared<runtime::PreparedScene>(std::move(scene))));
   if (config) {
     const std::scoped_lock lock(impl_->governor_mutex);
     config->limits.max_error = impl_->governor.limits.max_error;

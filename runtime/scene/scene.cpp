@@ -248,9 +248,8 @@ Result<PreparedScene> prepare(
   BakeSettings coarse = BakeSettings::coarse();
   coarse.bands = settings.bands;
   for (const SceneObject& object : scene.objects) {
-    PENUMBRA_ASSIGN(prepared,
-                    prepare_object(object, out, object.coarse ? coarse : settings, bakes,
-                                   progress("bake " + object.name)));
+    PENUMBRA_ASSIGN(prepared, prepare_object(object, out, object.coarse ? coarse : settings, bakes,
+                                             progress("bake " + object.name)));
     prepared.visible = object.visible;
     prepared.instance = object.instance;
     out.objects.push_back(std::move(prepared));
