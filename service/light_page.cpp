@@ -106,41 +106,64 @@ glm::dvec3 cube_direction(const CubeTexel& at) {
   return glm::normalize(directions[at.face]);
 }
 
-// Each pixel of the map goes whole into one texel, so that a sun of one pixel keeps its power;
-// texels that get none take the pixel that they look at.
-std::vector<Rgb> cube_of(const Image<Rgb>& map) {
+std::size_t index_of(const CubeTexel& at) {
   constexpr int n = PENUMBRA_PAGE_CUBE;
-  std::vector<Rgb> sums(6 * n * n);
-  std::vector<float> weights(sums.size());
-  const auto index = [](const CubeTexel& at) {
-    return static_cast<std::size_t>((at.face * n + at.row) * n + at.column);
-  };
-  for (int y = 0; y < map.height(); ++y) {
-    const auto weight = static_cast<float>(std::sin(kPi * (y + .5) / map.height()));
-    for (int x = 0; x < map.width(); ++x) {
-      const std::size_t i =
-          index(cube_texel(latlong_direction(x + .5, y + .5, map.width(), map.height())));
-      sums[i] += weight * map.at(x, y);
-      weights[i] += weight;
-    }
-  }
-  for (int face = 0; face < 6; ++face)
-    for (int row = 0; row < n; ++row)
-      for (int column = 0; column < n; ++column) {
-        const CubeTexel at{face, row, column};
-        Rgb& sum = sums[index(at)];
-        if (weights[index(at)] > 0) {
-          sum = sum * (1 / weights[index(at)]);
-          continue;
-        }
-        const glm::dvec2 p = latlong_pixel(cube_direction(at), map.width(), map.height());
-        sum = map.at(std::clamp(static_cast<int>(p.x), 0, map.width() - 1),
-                     std::clamp(static_cast<int>(p.y), 0, map.height() - 1));
-      }
-  return sums;
+  return static_cast<std::size_t>((at.face * n + at.row) * n + at.column);
 }
 
 }  // namespace
+
+// Each pixel of the map goes whole into one texel, so that a sun of one pixel keeps its power;
+// texels that get none take the pixel that they look at.
+class LightPage::CubeOfMap {
+ public:
+  CubeOfMap(int width, int height) : width_(width), height_(height) {
+    constexpr int n = PENUMBRA_PAGE_CUBE;
+    inverse_weights_.resize(std::size_t{6} * n * n);
+    for (int y = 0; y < height; ++y) {
+      row_weights_.push_back(static_cast<float>(std::sin(kPi * (y + .5) / height)));
+      for (int x = 0; x < width; ++x) {
+        const std::size_t i =
+            index_of(cube_texel(latlong_direction(x + .5, y + .5, width, height)));
+        texels_.push_back(static_cast<std::uint32_t>(i));
+        inverse_weights_[i] += row_weights_.back();
+      }
+    }
+    for (int face = 0; face < 6; ++face)
+      for (int row = 0; row < n; ++row)
+        for (int column = 0; column < n; ++column) add_texel({face, row, column});
+  }
+  bool fits(const Image<Rgb>& map) const {
+    return map.width() == width_ && map.height() == height_;
+  }
+  std::vector<Rgb> apply(const Image<Rgb>& map) const {
+    std::vector<Rgb> out(inverse_weights_.size());
+    const std::uint32_t* texel = texels_.data();
+    for (int y = 0; y < height_; ++y)
+      for (int x = 0; x < width_; ++x)
+        out[*texel++] += row_weights_[static_cast<std::size_t>(y)] * map.at(x, y);
+    for (std::size_t i = 0; i < out.size(); ++i) out[i] = out[i] * inverse_weights_[i];
+    for (const auto& [i, pixel] : empty_) out[i] = map.at(pixel.x, pixel.y);
+    return out;
+  }
+
+ private:
+  void add_texel(const CubeTexel& at) {
+    float& weight = inverse_weights_[index_of(at)];
+    if (weight > 0) {
+      weight = 1 / weight;
+      return;
+    }
+    const glm::dvec2 p = latlong_pixel(cube_direction(at), width_, height_);
+    empty_.emplace_back(index_of(at),
+                        glm::ivec2(std::clamp(static_cast<int>(p.x), 0, width_ - 1),
+                                   std::clamp(static_cast<int>(p.y), 0, height_ - 1)));
+  }
+  int width_, height_;
+  std::vector<std::uint32_t> texels_;  // by pixel
+  std::vector<float> row_weights_, inverse_weights_;
+  std::vector<std::pair<std::size_t, glm::ivec2>> empty_;
+};
 
 LightPage::LightPage(fs::path path, int file, penumbra_light_page* page)
     : path_(std::move(path)), file_(file), page_(page) {}
@@ -239,8 +262,11 @@ void LightPage::write(const Environment& environment) {
   constexpr std::int64_t kBetween_ns = 100'000'000;
   const std::int64_t now = monotonic_ns();
   if (now - cube_written_ns_ < kBetween_ns || environment.radiance.empty()) return;
-  const std::vector<Rgb> cube = cube_of(environment.radiance);
   const std::scoped_lock lock(mutex_);
+  if (!cube_of_map_ || !cube_of_map_->fits(environment.radiance))
+    cube_of_map_ = std::make_unique<const CubeOfMap>(environment.radiance.width(),
+                                                     environment.radiance.height());
+  const std::vector<Rgb> cube = cube_of_map_->apply(environment.radiance);
   cube_written_ns_ = now;
   const Writing writing(page_->cube_sequence);
   penumbra_cube& out = page_->cube;
