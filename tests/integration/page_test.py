@@ -17,8 +17,9 @@ from pathlib import Path
 
 import browser as web
 import cli_files as files
-from cli_case import PATIENCE, CliTest, main, program
 from browser import wait_until
+from cli_case import PATIENCE, CliTest, main, program
+from daemon_case import SCENE
 
 WIDTH, HEIGHT = 320, 180
 RIG = """version = 1
@@ -34,15 +35,6 @@ stale_after_s = 30
 [http]
 address = "127.0.0.1"
 port = {port}
-"""
-SCENE = """version = 1
-[[object]]
-name = "box"
-asset = "builtin:box"
-fit_size_m = 0.4
-[[real]]
-plane = { point = [0, 0, 0], normal = [0, 1, 0] }
-albedo = [0.4, 0.4, 0.4]
 """
 
 
