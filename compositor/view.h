@@ -5,10 +5,13 @@
 
 #include <cstdint>
 #include <glm/vec2.hpp>
+#include <memory>
 #include <span>
 
 #include "calib/camera/response_table.h"
 #include "calib/camera/vignetting.h"
+#include "compositor/projection.h"
+#include "compositor/view_lens.h"
 #include "core/image.h"
 #include "prt/clip/light_map.h"
 #include "prt/geometry/mesh.h"
@@ -46,6 +49,10 @@ struct View {
   /// It is what the code says, or more where the surface is known to be brighter. Not for float
   /// frames.
   Rgb clipped_signal{};
+  /// Null: the pinhole of `camera`. Else of `camera` only size and pose count, and the focal length
+  /// near the axis. Stays for as long as what was drawn through it.
+  std::shared_ptr<const ViewLens> lens{};
+  ViewProjection projection() const { return {camera, lens.get()}; }
 };
 
 /// How an object looks beyond its vertices.

@@ -324,20 +324,26 @@ std::optional<glm::dvec3> direction_from_pixel(const CameraModel& p, glm::dvec2 
   }
 }
 
+std::optional<glm::dvec2> pixel_of_lens(const CameraModel& p, const glm::dvec3& direction) {
+  const double length = glm::length(direction);
+  if (!(length > 0) || !std::isfinite(length)) return std::nullopt;
+  const glm::dvec3 d = direction / length;
+  if (p.kind == ProjectionKind::kPinhole) return pinhole_pixel(p, d);
+  const auto lens = radial_lens(p);
+  const auto q = lens ? lens->coordinates(d) : std::nullopt;
+  if (!q) return std::nullopt;
+  return lens->centre_px + *q * lens->focal_px;
+}
+
 std::optional<glm::dvec2> pixel_from_direction(const CameraModel& p, const glm::dvec3& direction) {
   const double length = glm::length(direction);
   if (!(length > 0) || !std::isfinite(length)) return std::nullopt;
   const glm::dvec3 d = direction / length;
-  if (const auto lens = radial_lens(p)) {
-    const auto q = lens->coordinates(d);
-    if (!q) return std::nullopt;
-    return clamp_into_picture(p, lens->centre_px + *q * lens->focal_px);
+  if (p.kind == ProjectionKind::kPinhole || radial_lens(p)) {
+    const auto pixel = pixel_of_lens(p, d);
+    return pixel ? clamp_into_picture(p, *pixel) : std::nullopt;
   }
   switch (p.kind) {
-    case ProjectionKind::kPinhole: {
-      const auto pixel = pinhole_pixel(p, d);
-      return pixel ? clamp_into_picture(p, *pixel) : std::nullopt;
-    }
     case ProjectionKind::kVerticalCross:
     case ProjectionKind::kExrCube:
       return clamp_into_picture(p, pixel_in_faces(face_layout(p), d));

@@ -72,6 +72,9 @@ Result<CameraModel> with_distortion(CameraModel projection, std::span<const doub
 /// Inverse; nothing where the camera does not look (behind a pinhole, outside a fisheye's picture).
 std::optional<glm::dvec2> pixel_from_direction(const CameraModel& projection,
                                                const glm::dvec3& direction);
+/// The same also beside the picture, as far as the lens's formula holds. Only for kinds with
+/// intrinsics.
+std::optional<glm::dvec2> pixel_of_lens(const CameraModel& lens, const glm::dvec3& direction);
 
 }  // namespace penumbra::calib
 #pragma GCC visibility pop

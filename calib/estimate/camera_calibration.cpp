@@ -8,7 +8,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <numeric>
 #include <opencv2/calib3d.hpp>
 #include <optional>
 
@@ -451,25 +450,21 @@ Result<CameraCalibration> fit_lens(std::span<const BoardView> views, const Camer
 // Which terms of the distortion are held at 0, one list after the other until the rest makes a
 // lens: pictures that end at 20 degrees do not determine what the highest terms do at 30.
 template <class Lens>
-std::vector<std::vector<int>> held_terms(bool undistorted) {
-  std::vector<int> all(Lens::kDistortion);
-  std::iota(all.begin(), all.end(), 0);
-  if (undistorted) return {all};
+std::vector<std::vector<int>> held_terms() {
   if (std::is_same_v<Lens, Pinhole>) return {{}, {4}, {1, 4}, {1, 2, 3, 4}};
   if (std::is_same_v<Lens, KannalaBrandt>) return {{}, {3}, {2, 3}, {1, 2, 3}};
   return {{}};
 }
 
 template <class Lens>
-Result<CameraCalibration> calibrate(std::span<const BoardView> views, const CameraModel& start,
-                                    bool undistorted) {
+Result<CameraCalibration> calibrate(std::span<const BoardView> views, const CameraModel& start) {
   const LensGuess guess = best_guess(views, start.kind, start.width, start.height);
   if (!std::isfinite(guess.cost))
     return lens_undetermined("no pose of the board fits this projection: is --projection right?");
   constexpr double kAsGood = 1.1;  // RMS against that of all terms
   std::optional<Error> first;
   double rms_of_all = 0;
-  for (const std::vector<int>& fixed : held_terms<Lens>(undistorted)) {
+  for (const std::vector<int>& fixed : held_terms<Lens>()) {
     auto out = fit_lens<Lens>(views, start, guess, fixed);
     // Fewer terms make up for no picture that is missing.
     if (!out) return first ? std::unexpected(*first) : std::unexpected(out.error());
@@ -489,13 +484,10 @@ Result<CameraCalibration> calibrate(std::span<const BoardView> views, const Came
 }  // namespace
 
 Result<CameraCalibration> calibrate_camera(std::span<const BoardView> views, ProjectionKind kind,
-                                           int width, int height,
-                                           const CameraCalibrationOptions& options) {
+                                           int width, int height) {
   if (!has_intrinsics(kind))
     return fail(ErrorCode::kInvalid, std::string(projection_name(kind)),
                 "has no intrinsics to calibrate; pinhole, equidistant, kb4 and double-sphere have");
-  if (options.undistorted && kind == ProjectionKind::kDoubleSphere)
-    return fail(ErrorCode::kInvalid, "double-sphere", "has no undistorted form: take equidistant");
   PENUMBRA_ASSIGN(start, make_projection(kind, width, height));
   if (views.size() < kMinBoards)
     return lens_undetermined(
@@ -504,13 +496,13 @@ Result<CameraCalibration> calibrate_camera(std::span<const BoardView> views, Pro
                     views.size(), kMinBoards));
   switch (kind) {
     case ProjectionKind::kEquidistant:
-      return calibrate<Equidistant>(views, start, options.undistorted);
+      return calibrate<Equidistant>(views, start);
     case ProjectionKind::kKannalaBrandt:
-      return calibrate<KannalaBrandt>(views, start, options.undistorted);
+      return calibrate<KannalaBrandt>(views, start);
     case ProjectionKind::kDoubleSphere:
-      return calibrate<DoubleSphere>(views, start, options.undistorted);
+      return calibrate<DoubleSphere>(views, start);
     default:
-      return calibrate<Pinhole>(views, start, options.undistorted);
+      return calibrate<Pinhole>(views, start);
   }
 }
 

@@ -36,18 +36,13 @@ struct CameraCalibration {
   double coverage = 0;  // part of an 8 x 6 grid over the picture with a corner in each cell
 };
 
-struct CameraCalibrationOptions {
-  bool undistorted = false;  // keep the distortion at 0
-};
-
 /// kind: pinhole, equidistant, kb4 or double-sphere. Needs corners that reach outwards and boards
 /// that are tilted; boards whose corners contradict the rest are left out and named. Terms of the
 /// distortion that would fold the lens back within 30 degrees are left out, the highest first,
 /// where the rest fits as well.
 /// errors: kInvalid (kind), kUndetermined (says what to capture instead)
 Result<CameraCalibration> calibrate_camera(std::span<const BoardView> views, ProjectionKind kind,
-                                           int width, int height,
-                                           const CameraCalibrationOptions& options = {});
+                                           int width, int height);
 
 }  // namespace penumbra::calib
 #pragma GCC visibility pop

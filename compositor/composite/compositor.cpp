@@ -126,6 +126,10 @@ Result<std::unique_ptr<Compositor>> Compositor::create(int width, int height, Su
   return std::unique_ptr<Compositor>(new Compositor(std::move(impl)));
 }
 
+void Compositor::use_lens(const ViewLens& lens) {
+  impl_->layers->use_lens(lens);
+}
+
 int Compositor::add_object(const prt::BakedObject& object, const Appearance& appearance) {
   impl_->context->make_current();
   impl_->receiver_of.push_back(object.receiver ? impl_->receivers.add(object.receiver->grid) : -1);
@@ -210,7 +214,7 @@ Result<void> Compositor::Impl::check(const View& view, const FramePixels& frame)
 // The pixels that shadows can reach.
 Result<Rect> Compositor::Impl::draw(const View& view) {
   context->make_current();
-  const Rect receiver_area = receivers.prepare(view.camera);
+  const Rect receiver_area = receivers.prepare(view);
   PENUMBRA_TRY(layers->draw(view, receiver_area, objects, hidden));
   return receiver_area;
 }
@@ -221,8 +225,8 @@ Result<CompositeStats> Compositor::Impl::composite_while_drawing(const View& vie
                                                                  const FramePixels& camera,
                                                                  FramePixels& out) {
   context->make_current();
-  const Rect area = receivers.prepare(view.camera);
-  const Layer room{layers->reach_of_objects(view.camera), {}}, nothing;
+  const Rect area = receivers.prepare(view);
+  const Layer room{layers->reach_of_objects(view.projection()), {}}, nothing;
   std::size_t beside = 0;
   BackgroundTask aside;
   aside.run([&] {
@@ -260,7 +264,7 @@ Result<void> Compositor::draw(const View& view, const FramePixels& frame, Drawn&
   d.objects = impl_->objects.now;
   d.hidden = impl_->hidden.now;
   d.receivers = impl_->receivers;
-  d.receivers.prepare(view.camera);  // its lookups point into itself
+  d.receivers.prepare(view);  // its lookups point into itself
   d.receiver_area = area;
   return {};
 }

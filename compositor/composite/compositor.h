@@ -58,6 +58,8 @@ class Compositor {
                                                     const std::string& title = "Penumbra");
   ~Compositor();
 
+  /// What is added from then on is drawn with edges that stay straight enough before this lens.
+  void use_lens(const ViewLens& lens);
   /// Uploads geometry once; the number names the object from then on.
   int add_object(const prt::BakedObject& object, const Appearance& appearance = {});
   /// Another form of an object's mesh: as many vertices, the same triangles. From then on all of

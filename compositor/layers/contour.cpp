@@ -103,12 +103,14 @@ Contour::Contour(const prt::Mesh& mesh)
   serves_ = rims.size() <= kMaxRims && !may_meet(mesh, place_);
 }
 
-void Contour::project(std::span<const glm::vec3> positions, const glm::dmat4& clip_from_object,
-                      int frame_width, int frame_height) {
-  const glm::mat4 m(clip_from_object);
-  const float half_width = .5f * static_cast<float>(frame_width),
-              half_height = .5f * static_cast<float>(frame_height);
+void Contour::project(std::span<const glm::vec3> positions, const ViewProjection& from_object) {
   projected_.resize(positions.size());
+  // What a lens does not show counts as behind the camera.
+  if (const ViewLens* lens = from_object.lens())
+    return lens->project(positions, from_object.matrix(), projected_);
+  const glm::mat4 m(from_object.matrix());
+  const float half_width = .5f * static_cast<float>(from_object.width()),
+              half_height = .5f * static_cast<float>(from_object.height());
   for (std::size_t i = 0; i < positions.size(); ++i) {
     const glm::vec3& p = positions[i];
     const float w = m[0][3] * p.x + m[1][3] * p.y + m[2][3] * p.z + m[3][3], per_w = 1 / w;
@@ -152,10 +154,10 @@ bool Contour::see_facings(std::span<const ContourTriangle> triangles) {
 }
 
 bool Contour::find(std::span<const glm::vec3> positions, std::span<const ContourTriangle> triangles,
-                   bool fronts_only, const glm::dmat4& clip_from_object, int frame_width,
-                   int frame_height, std::vector<ContourLine>& out) {
+                   bool fronts_only, const ViewProjection& from_object,
+                   std::vector<ContourLine>& out) {
   seen_.clear();
-  project(positions, clip_from_object, frame_width, frame_height);
+  project(positions, from_object);
   if (!see_facings(triangles)) return false;
   std::ranges::fill(first_, kNone);
   edges_.clear();

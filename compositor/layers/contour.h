@@ -4,13 +4,13 @@
 
 #include <array>
 #include <cstdint>
-#include <glm/mat4x4.hpp>
 #include <glm/vec2.hpp>
 #include <glm/vec3.hpp>
 #include <span>
 #include <vector>
 
 #include "compositor/layers/canvas.h"
+#include "compositor/projection.h"
 #include "prt/geometry/mesh.h"
 
 namespace penumbra::compositor {
@@ -43,8 +43,7 @@ class Contour {
   /// seen, where a triangle reaches behind the camera.
   /// fronts_only: triangles seen from behind are not drawn
   bool find(std::span<const glm::vec3> positions, std::span<const ContourTriangle> triangles,
-            bool fronts_only, const glm::dmat4& clip_from_object, int frame_width, int frame_height,
-            std::vector<ContourLine>& out);
+            bool fronts_only, const ViewProjection& from_object, std::vector<ContourLine>& out);
   /// The triangles that can be seen, of the last find().
   std::span<const ContourTriangle> seen() const { return seen_; }
 
@@ -54,8 +53,7 @@ class Contour {
     std::int32_t next;  // of the same lower place
     bool front, inner;  // inner: a triangle that continues it is at the other side
   };
-  void project(std::span<const glm::vec3> positions, const glm::dmat4& clip_from_object,
-               int frame_width, int frame_height);
+  void project(std::span<const glm::vec3> positions, const ViewProjection& from_object);
   bool see_facings(std::span<const ContourTriangle> triangles);
   void meet(std::uint32_t from, std::uint32_t to, bool front);
 

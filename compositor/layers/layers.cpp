@@ -3,7 +3,7 @@
 #include <fmt/format.h>
 
 #include <algorithm>
-#include <glm/gtc/type_ptr.hpp>
+#include <cmath>
 
 #include "prt/clip/light_map.h"
 
@@ -11,75 +11,7 @@ namespace penumbra::compositor {
 
 namespace {
 
-constexpr const char* kObjectVertex = R"(#version 310 es
-layout(location = 0) in vec3 position;
-layout(location = 1) in vec3 radiance;
-uniform mat4 clip_from_object;
-uniform float signal_per_radiance;
-out vec3 signal;
-void main() {
-  signal = signal_per_radiance * radiance;
-  gl_Position = clip_from_object * vec4(position, 1);
-})";
-
-// Back faces are black, as in the bake and in the reference.
-constexpr const char* kObjectFragment = R"(#version 310 es
-precision highp float;
-in vec3 signal;
-out vec4 colour;
-void main() { colour = vec4(gl_FrontFacing ? min(signal, 1000.0) : vec3(0), 1); }
-)";
-
-// With pictures of albedo, of light, or of both; what is not a picture is white, or comes by
-// vertex.
-constexpr const char* kTexturedVertex = R"(#version 310 es
-layout(location = 0) in vec3 position;
-layout(location = 1) in vec3 radiance;
-layout(location = 2) in vec2 albedo_place;
-layout(location = 3) in vec2 light_place;
-uniform mat4 clip_from_object;
-uniform float signal_per_radiance;
-out vec3 signal;
-out vec2 in_albedo, in_light;
-void main() {
-  signal = signal_per_radiance * radiance;
-  in_albedo = albedo_place;
-  in_light = light_place;
-  gl_Position = clip_from_object * vec4(position, 1);
-})";
-constexpr const char* kTexturedFragment = R"(#version 310 es
-precision highp float;
-in vec3 signal;
-in vec2 in_albedo, in_light;
-uniform sampler2D albedo_map, light_map;
-out vec4 colour;
-void main() {
-  vec3 shown = signal * texture(albedo_map, in_albedo).rgb * texture(light_map, in_light).rgb;
-  colour = vec4(gl_FrontFacing ? min(shown, 1000.0) : vec3(0), 1);
-}
-)";
-
-constexpr const char* kOccluderVertex = R"(#version 310 es
-layout(location = 0) in vec3 position;
-layout(location = 1) in vec3 deficit;
-uniform mat4 clip_from_object;
-out vec3 loss;
-void main() {
-  loss = deficit;
-  gl_Position = clip_from_object * vec4(position, 1);
-})";
-constexpr const char* kOccluderFragment = R"(#version 310 es
-precision highp float;
-in vec3 loss;
-out vec4 colour;
-void main() { colour = vec4(loss, 1); }
-)";
-
-void set_matrix(GLuint program, const glm::dmat4& m) {
-  const glm::mat4 single(m);
-  glUniformMatrix4fv(glGetUniformLocation(program, "clip_from_object"), 1, GL_FALSE,
-                     glm::value_ptr(single));
-}
+using LayerDrawing = LayerPrograms::LayerDrawing;
 
 void attribute(GLuint location, int components, std::size_t offset_bytes) {
   glEnableVertexAttribArray(location);
@@ -96,6 +28,18 @@ double area_m2(const prt::Mesh& mesh) {
     sum += glm::length(
         glm::cross(mesh.positions[b] - mesh.positions[a], mesh.positions[c] - mesh.positions[a]));
   return .5 * sum;
+}
+
+std::array<glm::dvec3, 8> corners_of(const prt::Bounds& bounds) {
+  const glm::vec3 &a = bounds.low, &b = bounds.high;
+  return {{{a.x, a.y, a.z},
+           {b.x, a.y, a.z},
+           {a.x, b.y, a.z},
+           {b.x, b.y, a.z},
+           {a.x, a.y, b.z},
+           {b.x, a.y, b.z},
+           {a.x, b.y, b.z},
+           {b.x, b.y, b.z}}};
 }
 
 GLsizeiptr bytes_of(const auto& v) {
@@ -131,24 +75,25 @@ GlTexture albedo_texture(const Image<Rgb8>& picture) {
   return texture;
 }
 
-void upload_coordinates(GLuint buffer, GLuint location, std::span<const glm::vec2> coordinates) {
-  if (coordinates.empty()) return;  // the attribute stays one constant place
-  glBindBuffer(GL_ARRAY_BUFFER, buffer);
-  glBufferData(GL_ARRAY_BUFFER, bytes_of(coordinates), coordinates.data(), GL_STATIC_DRAW);
-  attribute(location, 2, 0);
-}
-
 }  // namespace
 
 Result<Layers> Layers::create(int width, int height, int oversampling) {
-  PENUMBRA_ASSIGN(object, make_program(kObjectVertex, kObjectFragment));
-  PENUMBRA_ASSIGN(textured, make_program(kTexturedVertex, kTexturedFragment));
-  PENUMBRA_ASSIGN(occluder, make_program(kOccluderVertex, kOccluderFragment));
-  return Layers(width, height, oversampling, std::move(object), std::move(textured),
-                std::move(occluder), one_texel());
+  PENUMBRA_ASSIGN(programs, LayerPrograms::create());
+  return Layers(width, height, oversampling, std::move(programs), one_texel());
 }
 
-// In the object's vertex array.
+// In the object's vertex array, as what follows.
+void Layers::upload_coordinates(const DrawnObject& o, GLuint buffer, GLuint location,
+                                std::span<const glm::vec2> coordinates) {
+  if (coordinates.empty()) return;  // the attribute stays one constant place
+  std::vector<glm::vec2> all(coordinates.begin(), coordinates.end());
+  all.resize(o.albedo.size());  // points of a light map have none
+  extend(all, o.middles);
+  glBindBuffer(GL_ARRAY_BUFFER, buffer);
+  glBufferData(GL_ARRAY_BUFFER, bytes_of(all), all.data(), GL_STATIC_DRAW);
+  attribute(location, 2, 0);
+}
+
 void Layers::add_pictures(DrawnObject& o, const prt::BakedObject& baked,
                           const Appearance& appearance) {
   if (!appearance.texture && appearance.texels.empty()) return;
@@ -156,7 +101,7 @@ void Layers::add_pictures(DrawnObject& o, const prt::BakedObject& baked,
     o.albedo.assign(baked.mesh.positions.size(), Rgb{1, 1, 1});
     std::ranges::copy(appearance.tint, o.albedo.begin());
     o.albedo_map = albedo_texture(*appearance.texture);
-    upload_coordinates(o.texture_coordinates.get(), 2, appearance.texture_coordinates);
+    upload_coordinates(o, o.texture_coordinates.get(), 2, appearance.texture_coordinates);
   } else {
     o.albedo_map = one_texel();
   }
@@ -171,10 +116,11 @@ void Layers::add_pictures(DrawnObject& o, const prt::BakedObject& baked,
   glTexParameteri(GL_TEXTURE_2D, GL_TEXTURE_MIN_FILTER, GL_LINEAR);
   for (const GLenum wrap : {GL_TEXTURE_WRAP_S, GL_TEXTURE_WRAP_T})
     glTexParameteri(GL_TEXTURE_2D, wrap, GL_CLAMP_TO_EDGE);
-  upload_coordinates(o.light_coordinates.get(), 3, appearance.light_coordinates);
+  upload_coordinates(o, o.light_coordinates.get(), 3, appearance.light_coordinates);
   // Light comes from the map; vertices tint it where a picture gives the albedo.
   o.colours.assign(baked.mesh.positions.size(), Rgb{1, 1, 1});
   if (appearance.texture) std::ranges::copy(appearance.tint, o.colours.begin());
+  extend(o.colours, o.middles);
   glBindBuffer(GL_ARRAY_BUFFER, o.light.get());
   glBufferSubData(GL_ARRAY_BUFFER, 0, bytes_of(o.colours), o.colours.data());
   o.light_map = std::move(map);
@@ -195,13 +141,25 @@ void Layers::fill_light_map(LightMap& map, std::span<const float> relit, std::si
                   map.pixels.data());
 }
 
+void Layers::use_lens(const ViewLens& lens) {
+  max_edge_m_ = std::min(max_edge_m_, lens.max_edge_m());
+}
+
+Layers::Middles Layers::refine(prt::Mesh& mesh) const {
+  constexpr std::size_t kMaxTriangles = 150'000;
+  if (!std::isfinite(max_edge_m_)) return {};
+  return prt::subdivide(mesh, static_cast<float>(max_edge_m_), kMaxTriangles);
+}
+
 int Layers::add_object(const prt::BakedObject& baked, const Appearance& appearance) {
-  const prt::Mesh& mesh = baked.mesh;
-  const prt::Bounds bounds = bounds_of(mesh);
+  const prt::Bounds bounds = bounds_of(baked.mesh);
   const bool pictures = appearance.texture || !appearance.texels.empty();
-  DrawnObject o{.triangles = mesh.triangles,
+  prt::Mesh mesh = baked.mesh;
+  Middles middles = refine(mesh);
+  DrawnObject o{.middles = std::move(middles),
+                .triangles = mesh.triangles,
                 .closed = is_closed(mesh),
-                .albedo = mesh.albedo,
+                .albedo = baked.mesh.albedo,
                 .colours = std::vector<Rgb>(mesh.positions.size()),
                 .stride = baked.transfer.stride,
                 .bounds = bounds,
@@ -230,9 +188,14 @@ int Layers::add_object(const prt::BakedObject& baked, const Appearance& appearan
 void Layers::update_vertices(int object, const prt::Mesh& mesh) {
   DrawnObject& o = objects_[static_cast<std::size_t>(object)];
   o.bounds = bounds_of(mesh);
-  if (o.contour) o.positions = mesh.positions;
+  const bool keeps = o.contour || !o.middles.empty();
+  if (keeps) {
+    o.positions = mesh.positions;
+    extend(o.positions, o.middles);
+  }
+  const std::vector<glm::vec3>& positions = keeps ? o.positions : mesh.positions;
   glBindBuffer(GL_ARRAY_BUFFER, o.vertices.get());
-  glBufferSubData(GL_ARRAY_BUFFER, 0, bytes_of(mesh.positions), mesh.positions.data());
+  glBufferSubData(GL_ARRAY_BUFFER, 0, bytes_of(positions), positions.data());
   o.changed = true;
   o.contour_known = false;
 }
@@ -258,13 +221,18 @@ void Layers::set_light(int object, std::span<const float> relit) {
     return;
   }
   bool changed = false;
-  for (std::size_t i = 0; i < o.colours.size(); ++i) {
+  const std::size_t own = o.albedo.size(), all = o.colours.size();
+  for (std::size_t i = 0; i < own; ++i) {
     const auto lit = [&](std::size_t c) { return std::max(relit[c * o.stride + i], 0.f); };
     const Rgb colour{o.albedo[i].r * lit(0), o.albedo[i].g * lit(1), o.albedo[i].b * lit(2)};
     changed |= !(colour == o.colours[i]);
     o.colours[i] = colour;
   }
   if (!changed) return;  // a shadow moved, or a neighbour
+  if (all > own) {
+    o.colours.resize(own);
+    extend(o.colours, o.middles);
+  }
   glBindBuffer(GL_ARRAY_BUFFER, o.light.get());
   glBufferSubData(GL_ARRAY_BUFFER, 0, bytes_of(o.colours), o.colours.data());
   o.changed = true;
@@ -290,8 +258,10 @@ Layers::Occluder Layers::upload(const prt::Mesh& mesh) {
 }
 
 int Layers::add_occluder(const prt::Mesh& mesh) {
-  occluders_.push_back(upload(mesh));
-  occluder_meshes_.push_back({mesh.positions, mesh.triangles, {}});
+  prt::Mesh fine = mesh;
+  Middles middles = refine(fine);
+  occluders_.push_back(upload(fine));
+  occluder_meshes_.push_back({std::move(middles), mesh.positions, mesh.triangles, {}});
   drawn_.reset();
   return static_cast<int>(occluders_.size()) - 1;
 }
@@ -300,6 +270,7 @@ void Layers::set_ratios(int occluder, std::span<const Rgb> ratios) {
   const auto index = static_cast<std::size_t>(occluder);
   std::vector<Rgb> deficits;
   for (const Rgb& s : ratios) deficits.push_back({1 - s.r, 1 - s.g, 1 - s.b});
+  extend(deficits, occluder_meshes_[index].middles);
   glBindBuffer(GL_ARRAY_BUFFER, occluders_[index].deficits.get());
   glBufferSubData(GL_ARRAY_BUFFER, 0, bytes_of(deficits), deficits.data());
   OccluderMesh& mesh = occluder_meshes_[index];
@@ -335,8 +306,7 @@ namespace {
 // Real geometry lies a little further away, so that it never hides what rests on it.
 class PushedBack {
  public:
-  explicit PushedBack(GLuint program) {
-    glUseProgram(program);
+  PushedBack() {
     glEnable(GL_POLYGON_OFFSET_FILL);
     glPolygonOffset(1, 4);
   }
@@ -345,18 +315,18 @@ class PushedBack {
 
 }  // namespace
 
-void Layers::draw_occluders(const glm::dmat4& clip_from_world) {
-  const PushedBack state(occluder_program_.get());
-  set_matrix(occluder_program_.get(), clip_from_world);
+void Layers::draw_occluders(const ViewProjection& from_world) {
+  const PushedBack state;
+  programs_.use(LayerDrawing::kRealMesh, from_world, true);
   for (const Occluder& o : occluders_) {
     glBindVertexArray(o.geometry.get());
     glDrawElements(GL_TRIANGLES, o.index_count, GL_UNSIGNED_INT, nullptr);
   }
 }
 
-void Layers::draw_hiding_planes(const glm::dvec3& eye, const glm::dmat4& clip_from_world) {
-  const PushedBack state(occluder_program_.get());
-  set_matrix(occluder_program_.get(), clip_from_world);
+void Layers::draw_hiding_planes(const glm::dvec3& eye, const ViewProjection& from_world) {
+  const PushedBack state;
+  programs_.use(LayerDrawing::kRealMesh, from_world, true);
   for (const DrawnPlane& p : planes_) {
     if (std::ranges::none_of(objects_, [&](const DrawnObject& o) {
           return o.visible && hidden_m(p, o, eye) > kTouching;
@@ -365,6 +335,20 @@ void Layers::draw_hiding_planes(const glm::dvec3& eye, const glm::dmat4& clip_fr
     glBindVertexArray(p.quad.geometry.get());
     glDrawElements(GL_TRIANGLES, p.quad.index_count, GL_UNSIGNED_INT, nullptr);
   }
+}
+
+// Those that hide a part of the object, in the frame of the camera, a little behind where they are,
+// as PushedBack has it.
+std::vector<glm::dvec4> Layers::hiding_planes(const DrawnObject& o,
+                                              const prt::PinholeView& camera) const {
+  std::vector<glm::dvec4> out;
+  const glm::dvec3& eye = camera.world_from_camera.translation;
+  for (const DrawnPlane& p : planes_) {
+    if (!(hidden_m(p, o, eye) > kTouching)) continue;
+    const glm::dvec3 normal = glm::conjugate(camera.world_from_camera.rotation) * p.normal;
+    out.emplace_back(normal, glm::dot(p.normal, eye - p.point) + kTouching);
+  }
+  return out;
 }
 
 void Layers::bind_pictures(const DrawnObject& o, GLuint program) const {
@@ -376,16 +360,26 @@ void Layers::bind_pictures(const DrawnObject& o, GLuint program) const {
   glUniform1i(glGetUniformLocation(program, "light_map"), 1);
 }
 
-void Layers::draw_objects(const View& view, const glm::dmat4& clip_from_world, const Rect& region,
+GLuint Layers::use_program(const View& view, const ViewProjection& from_world,
+                           const DrawnObject& o) const {
+  const LayerDrawing drawing = o.albedo_map ? LayerDrawing::kTexturedObject : LayerDrawing::kObject;
+  const ViewProjection from_object = from_world.of(o.world_from_bake);
+  const std::vector<glm::dvec4> planes =
+      view.lens ? hiding_planes(o, view.camera) : std::vector<glm::dvec4>();
+  const bool cut = !planes.empty() || from_object.may_cut(corners_of(o.bounds));
+  const GLuint program = programs_.use(drawing, from_object, cut);
+  if (view.lens && cut) programs_.set_hiding_planes(program, planes);
+  return program;
+}
+
+void Layers::draw_objects(const View& view, const ViewProjection& from_world, const Rect& region,
                           bool seen_alone) {
   for (DrawnObject& o : objects_) {
-    if (!o.visible || !meet(reach_of(o, clip_from_world), region)) continue;
-    const GLuint program = (o.albedo_map ? textured_program_ : object_program_).get();
-    glUseProgram(program);
+    if (!o.visible || !meet(reach_of(o, from_world), region)) continue;
+    const GLuint program = use_program(view, from_world, o);
     glUniform1f(glGetUniformLocation(program, "signal_per_radiance"), view.signal_per_radiance);
     if (o.albedo_map) bind_pictures(o, program);
     if (fronts_only(o, view.camera.world_from_camera.translation)) glEnable(GL_CULL_FACE);
-    set_matrix(program, clip_from_world * o.world_from_bake.matrix());
     glBindVertexArray(o.geometry.get());
     glBindBuffer(GL_ELEMENT_ARRAY_BUFFER, (seen_alone ? o.seen : o.indices).get());
     glDrawElements(GL_TRIANGLES, seen_alone ? o.seen_count : o.index_count, GL_UNSIGNED_INT,
@@ -394,48 +388,42 @@ void Layers::draw_objects(const View& view, const glm::dmat4& clip_from_world, c
   }
 }
 
-Rect Layers::reach_of(const glm::dmat4& clip_from_bounds, const prt::Bounds& bounds) const {
-  const glm::vec3 &a = bounds.low, &b = bounds.high;
-  const glm::dvec3 corners[8] = {{a.x, a.y, a.z}, {b.x, a.y, a.z}, {a.x, b.y, a.z},
-                                 {b.x, b.y, a.z}, {a.x, a.y, b.z}, {b.x, a.y, b.z},
-                                 {a.x, b.y, b.z}, {b.x, b.y, b.z}};
-  return reach(clip_from_bounds, corners, width_, height_);
+Rect Layers::reach_of(const ViewProjection& from_bounds, const prt::Bounds& bounds) {
+  return from_bounds.reach(corners_of(bounds));
 }
 
 // Nothing of one that is not shown.
-Rect Layers::reach_of(const DrawnObject& o, const glm::dmat4& clip_from_world) const {
-  return o.visible ? reach_of(clip_from_world * o.world_from_bake.matrix(), o.bounds) : Rect{};
+Rect Layers::reach_of(const DrawnObject& o, const ViewProjection& from_world) {
+  return o.visible ? reach_of(from_world.of(o.world_from_bake), o.bounds) : Rect{};
 }
 
-Rect Layers::reach_of_objects(const prt::PinholeView& camera) const {
-  const glm::dmat4 clip_from_world = clip_from_world_of(camera);
+Rect Layers::reach_of_objects(const ViewProjection& from_world) const {
   Rect out;
-  for (const DrawnObject& o : objects_) out = united(out, reach_of(o, clip_from_world));
+  for (const DrawnObject& o : objects_) out = united(out, reach_of(o, from_world));
   return out;
 }
 
 // True where one sample a pixel did.
-Result<bool> Layers::draw_layer_of_objects(const View& view, const glm::dmat4& clip_from_world,
+Result<bool> Layers::draw_layer_of_objects(const View& view, const ViewProjection& from_world,
                                            Layer& out) {
-  out.rect = reach_of_objects(view.camera);
+  out.rect = reach_of_objects(from_world);
   if (out.rect.empty()) return false;
-  if (one_sample_does(view.camera, clip_from_world) &&
-      find_contours(view.camera, clip_from_world, out.rect)) {
-    PENUMBRA_TRY(draw_on(plain_canvas_, view, clip_from_world, out));
+  if (one_sample_does(view.camera, from_world) && find_contours(view, from_world, out.rect)) {
+    PENUMBRA_TRY(draw_on(plain_canvas_, view, from_world, out));
     if (smoother_.smooth(lines_, out)) return true;
   }
-  PENUMBRA_TRY(draw_on(objects_canvas_, view, clip_from_world, out));
+  PENUMBRA_TRY(draw_on(objects_canvas_, view, from_world, out));
   return false;
 }
 
-Result<void> Layers::draw_on(Canvas& canvas, const View& view, const glm::dmat4& clip_from_world,
+Result<void> Layers::draw_on(Canvas& canvas, const View& view, const ViewProjection& from_world,
                              Layer& out) {
   PENUMBRA_TRY(canvas.begin(out.rect, width_, height_));
   glColorMask(GL_FALSE, GL_FALSE, GL_FALSE, GL_FALSE);
-  draw_occluders(clip_from_world);
-  draw_hiding_planes(view.camera.world_from_camera.translation, clip_from_world);
+  draw_occluders(from_world);
+  if (!view.lens) draw_hiding_planes(view.camera.world_from_camera.translation, from_world);
   glColorMask(GL_TRUE, GL_TRUE, GL_TRUE, GL_TRUE);
-  draw_objects(view, clip_from_world, out.rect, &canvas == &plain_canvas_);
+  draw_objects(view, from_world, out.rect, &canvas == &plain_canvas_);
   canvas.finish(out);
   return {};
 }
@@ -463,18 +451,19 @@ Result<void> Layers::draw(const View& view, const Rect& receiver_area, CommonLay
   }
   drawn_.reset();
   Layer &objects = objects_layer.renewed(), &hidden = hidden_layer.renewed();
-  const glm::dmat4 clip_from_world = clip_from_world_of(view.camera);
-  PENUMBRA_ASSIGN(by_contours, draw_layer_of_objects(view, clip_from_world, objects));
+  const ViewProjection from_world = view.projection();
+  PENUMBRA_TRY(programs_.prepare(view.lens));
+  PENUMBRA_ASSIGN(by_contours, draw_layer_of_objects(view, from_world, objects));
   hidden.rect = occluders_.empty() ? Rect{} : receiver_area;
   for (const OccluderMesh& mesh : occluder_meshes_)
-    if (mesh.shaded) hidden.rect = united(hidden.rect, reach_of(clip_from_world, *mesh.shaded));
+    if (mesh.shaded) hidden.rect = united(hidden.rect, reach_of(from_world, *mesh.shaded));
   if (!hidden.rect.empty()) {
     PENUMBRA_TRY(hidden_canvas_.begin(hidden.rect, width_, height_));
-    draw_occluders(clip_from_world);
+    draw_occluders(from_world);
     hidden_canvas_.finish(hidden);
   }
   PENUMBRA_TRY(check_gl());
-  keep_as_drawn(clip_from_world);
+  keep_as_drawn(from_world);
   drawn_ = DrawnLayers{view, receiver_area, by_contours};
   return {};
 }

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <array>
+#include <limits>
 #include <optional>
 #include <span>
 #include <vector>
@@ -9,6 +10,7 @@
 #include "compositor/layers/canvas.h"
 #include "compositor/layers/contour.h"
 #include "compositor/layers/gl.h"
+#include "compositor/layers/layer_programs.h"
 #include "compositor/projection.h"
 #include "compositor/view.h"
 #include "prt/bake/bake.h"
@@ -21,6 +23,8 @@ class Layers {
  public:
   static Result<Layers> create(int width, int height, int oversampling);
 
+  /// What is added from then on is drawn with edges that stay straight enough before this lens.
+  void use_lens(const ViewLens& lens);
   int add_object(const prt::BakedObject& object, const Appearance& appearance);
   void update_vertices(int object, const prt::Mesh& mesh);
   void set_pose(int object, const Pose& world_from_bake);
@@ -33,7 +37,7 @@ class Layers {
 
   bool has_occluders() const { return !occluders_.empty(); }
   /// The rectangle that draw() gives the layer of objects.
-  Rect reach_of_objects(const prt::PinholeView& camera) const;
+  Rect reach_of_objects(const ViewProjection& from_world) const;
   /// objects: premultiplied signal (radiance times signal_per_radiance) and coverage, averaged over
   /// each pixel: of samples, or where that shows no worse of one sample and the objects' contours.
   /// hidden: real geometry inside `receiver_area` and wherever it is shaded itself: what is taken
@@ -43,6 +47,12 @@ class Layers {
                     CommonLayer& hidden);
 
  private:
+  // Vertices that a lens takes beyond a mesh's own, each in the middle of two earlier ones.
+  using Middles = std::vector<std::array<std::uint32_t, 2>>;
+  template <class Value>
+  static void extend(std::vector<Value>& values, const Middles& middles) {
+    for (const auto& [a, b] : middles) values.push_back((values[a] + values[b]) * .5f);
+  }
   struct LightMap {
     GlTexture texture{};
     int width = 0, height = 0;
@@ -51,6 +61,7 @@ class Layers {
     std::vector<Rgb> pixels{};
   };
   struct DrawnObject {
+    Middles middles{};
     GlVertexArray geometry{};
     GlBuffer vertices{}, indices{}, seen{}, light{}, texture_coordinates{}, light_coordinates{};
     std::optional<GlTexture> albedo_map{};  // with a light map white where there is none
@@ -60,7 +71,8 @@ class Layers {
     // Of what one sample a pixel may do for, and the vertices in their present form.
     std::optional<Contour> contour{};
     std::vector<glm::vec3> positions{};
-    std::vector<Rgb> albedo, colours;  // by vertex; colours: radiance as lit now, what GL draws
+    std::vector<Rgb> albedo;   // by vertex of the object's own
+    std::vector<Rgb> colours;  // by vertex that GL draws: radiance as lit now
     GLsizei index_count = 0, seen_count = 0;
     std::size_t stride = 0;  // floats a colour plane
     prt::Bounds bounds;
@@ -82,6 +94,7 @@ class Layers {
     Occluder quad;
   };
   struct OccluderMesh {
+    Middles middles;
     std::vector<glm::vec3> positions;
     std::vector<std::array<std::uint32_t, 3>> triangles;
     std::optional<prt::Bounds> shaded;  // of the triangles with a ratio other than 1
@@ -93,57 +106,62 @@ class Layers {
 
     // Whether nothing but objects can make them other ones.
     bool shows(const View& now, const Rect& area, bool occluders) const {
-      return view.camera == now.camera && view.signal_per_radiance == now.signal_per_radiance &&
+      return view.camera == now.camera && view.lens == now.lens &&
+             view.signal_per_radiance == now.signal_per_radiance &&
              (!occluders || receiver_area == area);
     }
   };
 
-  Layers(int width, int height, int oversampling, GlProgram object, GlProgram textured,
-         GlProgram occluder, GlTexture white)
+  Layers(int width, int height, int oversampling, LayerPrograms programs, GlTexture white)
       : width_(width),
         height_(height),
         fine_(oversampling > 2),
         objects_canvas_(oversampling),
         plain_canvas_(1),
         hidden_canvas_(oversampling),
-        object_program_(std::move(object)),
-        textured_program_(std::move(textured)),
-        occluder_program_(std::move(occluder)),
+        programs_(std::move(programs)),
         white_(std::move(white)) {}
-  void draw_occluders(const glm::dmat4& clip_from_world);
-  void draw_hiding_planes(const glm::dvec3& eye, const glm::dmat4& clip_from_world);
+  void draw_occluders(const ViewProjection& from_world);
+  void draw_hiding_planes(const glm::dvec3& eye, const ViewProjection& from_world);
+  Middles refine(prt::Mesh& mesh) const;
+  static void upload_coordinates(const DrawnObject& object, GLuint buffer, GLuint location,
+                                 std::span<const glm::vec2> coordinates);
+  std::vector<glm::dvec4> hiding_planes(const DrawnObject& object,
+                                        const prt::PinholeView& camera) const;
+  GLuint use_program(const View& view, const ViewProjection& from_world,
+                     const DrawnObject& object) const;
   static void add_pictures(DrawnObject& object, const prt::BakedObject& baked,
                            const Appearance& appearance);
   static void fill_light_map(LightMap& map, std::span<const float> relit, std::size_t stride,
                              const std::vector<Rgb>& albedo);
   static Occluder upload(const prt::Mesh& mesh);
-  void draw_objects(const View& view, const glm::dmat4& clip_from_world, const Rect& region,
+  void draw_objects(const View& view, const ViewProjection& from_world, const Rect& region,
                     bool seen_alone);
   void bind_pictures(const DrawnObject& object, GLuint program) const;
-  Result<bool> draw_layer_of_objects(const View& view, const glm::dmat4& clip_from_world,
+  Result<bool> draw_layer_of_objects(const View& view, const ViewProjection& from_world,
                                      Layer& out);
   Result<bool> redraw_changed(const View& view, CommonLayer& objects);
-  Rect changed_region(const glm::dmat4& clip_from_world) const;
-  void keep_as_drawn(const glm::dmat4& clip_from_world);
-  Result<void> draw_on(Canvas& canvas, const View& view, const glm::dmat4& clip_from_world,
+  Rect changed_region(const ViewProjection& from_world) const;
+  void keep_as_drawn(const ViewProjection& from_world);
+  Result<void> draw_on(Canvas& canvas, const View& view, const ViewProjection& from_world,
                        Layer& out);
   static double distance_to_box(const DrawnObject& object, const glm::dvec3& eye);
   static bool fronts_only(const DrawnObject& object, const glm::dvec3& eye);
   /// How deep an object lies behind the plane, metres; not above 0 where that hides nothing.
   static double hidden_m(const DrawnPlane& plane, const DrawnObject& object, const glm::dvec3& eye);
-  bool in_view(const DrawnObject& object, const glm::dmat4& clip_from_world) const;
-  bool one_sample_does(const prt::PinholeView& camera, const glm::dmat4& clip_from_world) const;
+  static bool in_view(const DrawnObject& object, const ViewProjection& from_world);
+  bool one_sample_does(const prt::PinholeView& camera, const ViewProjection& from_world) const;
   bool one_sample_does(const DrawnObject& object, const prt::PinholeView& camera) const;
-  bool find_contours(const prt::PinholeView& camera, const glm::dmat4& clip_from_world,
-                     const Rect& region);
-  bool find_contour(DrawnObject& object, const glm::dmat4& clip_from_world);
-  Rect reach_of(const DrawnObject& object, const glm::dmat4& clip_from_world) const;
-  Rect reach_of(const glm::dmat4& clip_from_bounds, const prt::Bounds& bounds) const;
+  bool find_contours(const View& view, const ViewProjection& from_world, const Rect& region);
+  bool find_contour(DrawnObject& object, const ViewProjection& from_world);
+  static Rect reach_of(const DrawnObject& object, const ViewProjection& from_world);
+  static Rect reach_of(const ViewProjection& from_bounds, const prt::Bounds& bounds);
 
   int width_, height_;
   bool fine_;  // stills: four samples or more everywhere
   Canvas objects_canvas_, plain_canvas_, hidden_canvas_;
-  GlProgram object_program_, textured_program_, occluder_program_;
+  LayerPrograms programs_;
+  double max_edge_m_ = std::numeric_limits<double>::infinity();
   GlTexture white_;  // of one texel
   std::vector<DrawnObject> objects_;
   std::vector<Occluder> occluders_;
@@ -152,6 +170,7 @@ class Layers {
   ContourSmoother smoother_;
   std::vector<ContourLine> lines_;
   std::optional<prt::PinholeView> contours_from_;
+  const ViewLens* contours_through_ = nullptr;
   Layer part_;                        // of a layer that is redrawn in part
   std::optional<DrawnLayers> drawn_;  // what the caller's layers show, but for changed objects
 };

@@ -45,8 +45,8 @@ bool Layers::fronts_only(const DrawnObject& o, const glm::dvec3& eye) {
   return o.closed && distance_to_box(o, eye) > kNearPlane;
 }
 
-bool Layers::in_view(const DrawnObject& o, const glm::dmat4& clip_from_world) const {
-  return !reach_of(o, clip_from_world).empty();
+bool Layers::in_view(const DrawnObject& o, const ViewProjection& from_world) {
+  return !reach_of(o, from_world).empty();
 }
 
 // Seen from behind a plane hides nothing, as in Receivers.
@@ -60,14 +60,14 @@ double Layers::hidden_m(const DrawnPlane& plane, const DrawnObject& o, const glm
 
 // All edges in the picture are an object's own.
 bool Layers::one_sample_does(const prt::PinholeView& camera,
-                             const glm::dmat4& clip_from_world) const {
+                             const ViewProjection& from_world) const {
   if (fine_ || !occluders_.empty()) return false;
   for (auto o = objects_.begin(); o != objects_.end(); ++o) {
-    if (!in_view(*o, clip_from_world)) continue;
+    if (!in_view(*o, from_world)) continue;
     if (!one_sample_does(*o, camera)) return false;
     const OrientedBox box = around(o->bounds, o->world_from_bake);
     if (std::any_of(objects_.begin(), o, [&](const DrawnObject& other) {
-          return in_view(other, clip_from_world) &&
+          return in_view(other, from_world) &&
                  meet(box, around(other.bounds, other.world_from_bake));
         }))
       return false;
@@ -91,26 +91,26 @@ bool Layers::one_sample_does(const DrawnObject& o, const prt::PinholeView& camer
 
 // Of the objects that reach into a region. And the triangles that can be seen: half of them, which
 // is half of what their vertices cost. False where an object reaches behind the camera.
-bool Layers::find_contours(const prt::PinholeView& camera, const glm::dmat4& clip_from_world,
-                           const Rect& region) {
+bool Layers::find_contours(const View& view, const ViewProjection& from_world, const Rect& region) {
   lines_.clear();
   glBindVertexArray(0);
-  if (contours_from_ != camera)
+  if (contours_from_ != view.camera || contours_through_ != view.lens.get())
     for (DrawnObject& o : objects_) o.contour_known = false;
-  contours_from_ = camera;
+  contours_from_ = view.camera;
+  contours_through_ = view.lens.get();
   for (DrawnObject& o : objects_) {
-    if (!meet(reach_of(o, clip_from_world), region)) continue;
-    if (!o.contour_known && !find_contour(o, clip_from_world)) return false;
+    if (!meet(reach_of(o, from_world), region)) continue;
+    if (!o.contour_known && !find_contour(o, from_world)) return false;
     lines_.insert(lines_.end(), o.lines.begin(), o.lines.end());
   }
   return true;
 }
 
-bool Layers::find_contour(DrawnObject& o, const glm::dmat4& clip_from_world) {
+bool Layers::find_contour(DrawnObject& o, const ViewProjection& from_world) {
   o.lines.clear();
   if (!o.contour->find(o.positions, o.triangles,
                        fronts_only(o, contours_from_->world_from_camera.translation),
-                       clip_from_world * o.world_from_bake.matrix(), width_, height_, o.lines))
+                       from_world.of(o.world_from_bake), o.lines))
     return false;
   const auto seen = o.contour->seen();
   o.seen_count = static_cast<GLsizei>(seen.size() * 3);

@@ -53,44 +53,44 @@ void replace(const Layer& part, const Rect& region, const Rect& whole, CommonLay
 }  // namespace
 
 // What changed objects could and can reach.
-Rect Layers::changed_region(const glm::dmat4& clip_from_world) const {
+Rect Layers::changed_region(const ViewProjection& from_world) const {
   Rect out;
   for (const DrawnObject& o : objects_)
-    if (o.changed) out = united(out, united(o.drawn_at, reach_of(o, clip_from_world)));
+    if (o.changed) out = united(out, united(o.drawn_at, reach_of(o, from_world)));
   return out;
 }
 
-void Layers::keep_as_drawn(const glm::dmat4& clip_from_world) {
+void Layers::keep_as_drawn(const ViewProjection& from_world) {
   for (DrawnObject& o : objects_) {
     o.changed = false;
-    o.drawn_at = reach_of(o, clip_from_world);
+    o.drawn_at = reach_of(o, from_world);
   }
 }
 
 // False where all has to be drawn.
 Result<bool> Layers::redraw_changed(const View& view, CommonLayer& objects) {
   if (std::ranges::none_of(objects_, &DrawnObject::changed)) return true;
-  const glm::dmat4 clip_from_world = clip_from_world_of(view.camera);
-  const Rect whole = reach_of_objects(view.camera), changed = changed_region(clip_from_world);
+  const ViewProjection from_world = view.projection();
+  const Rect whole = reach_of_objects(from_world), changed = changed_region(from_world);
   if (changed.empty() && objects.now->rect == whole) {  // out of the picture
-    keep_as_drawn(clip_from_world);
+    keep_as_drawn(from_world);
     return true;
   }
   // A smoothed pixel needs both of its neighbours.
   const Rect kept = grown(changed, kSmoothed_px, width_, height_);
   part_.rect = grown(changed, 2 * kSmoothed_px, width_, height_);
   if (whole.empty() || part_.rect.empty() || area_of(part_.rect) > kMaxPart * area_of(whole) ||
-      drawn_->by_contours != one_sample_does(view.camera, clip_from_world))
+      drawn_->by_contours != one_sample_does(view.camera, from_world))
     return false;
   if (drawn_->by_contours) {
-    if (!find_contours(view.camera, clip_from_world, part_.rect)) return false;
-    PENUMBRA_TRY(draw_on(plain_canvas_, view, clip_from_world, part_));
+    if (!find_contours(view, from_world, part_.rect)) return false;
+    PENUMBRA_TRY(draw_on(plain_canvas_, view, from_world, part_));
     if (!smoother_.smooth(lines_, part_)) return false;
   } else {
-    PENUMBRA_TRY(draw_on(objects_canvas_, view, clip_from_world, part_));
+    PENUMBRA_TRY(draw_on(objects_canvas_, view, from_world, part_));
   }
   replace(part_, kept, whole, objects);
-  keep_as_drawn(clip_from_world);
+  keep_as_drawn(from_world);
   return true;
 }
 

@@ -79,15 +79,17 @@ void Receivers::set_shadow_maps(std::span<const ShadowMapOnPlane> lights) {
 namespace {
 
 // Ray through pixel (px, py): d = R (a px + b, c py + e, -1) in the map's frame, all linear in the
-// pixel. It meets the plane y = height at o + d (height - o.y)/d.y, hence x = (o.x d.y + (height -
-// o.y) d.x)/d.y. In units of `unit_m` from (x0, z0).
-Homography homography(const prt::PinholeView& v, const Pose& map_from_camera, double height,
+// pixel; through a lens d = R ray. It meets the plane y = height at o + d (height - o.y)/d.y, hence
+// x = (o.x d.y + (height - o.y) d.x)/d.y. In units of `unit_m` from (x0, z0).
+Homography homography(const View& view, const Pose& map_from_camera, double height,
                       glm::dvec2 origin, double unit_m) {
+  const prt::PinholeView& v = view.camera;
   const glm::dmat3 r = map_from_camera.rotation_matrix();
   const glm::dvec3 o = map_from_camera.translation;
-  const glm::dvec3 ray[3] = {
+  glm::dvec3 ray[3] = {
       r[0] / v.focal_px.x, r[1] * (-1 / v.focal_px.y),
       -r[0] * (v.principal_px.x / v.focal_px.x) + r[1] * (v.principal_px.y / v.focal_px.y) - r[2]};
+  if (view.lens) std::copy_n(&r[0], 3, ray);
   const double drop = height - o.y, sign = drop < 0 ? -1 : 1;
   Homography out;
   for (int k = 0; k < 3; ++k) {
@@ -99,22 +101,34 @@ Homography homography(const prt::PinholeView& v, const Pose& map_from_camera, do
   return out;
 }
 
-ShadowMapLookup shadow_lookup(const prt::PinholeView& view, const shadows::ShadowMap& shadow,
+ShadowMapLookup shadow_lookup(const View& view, const shadows::ShadowMap& shadow,
                               const Image<float>& nodes, int samples, const Rgb& fraction,
                               const Rect& area) {
-  return {homography(view, shadow.world_from_map.inverse() * view.world_from_camera, 0, {0, 0},
-                     shadow.cell_m),
-          nodes.pixels().data(),
-          nodes.width(),
-          nodes.height(),
-          samples,
-          fraction,
-          area};
+  return {.at = homography(view, shadow.world_from_map.inverse() * view.camera.world_from_camera, 0,
+                           {0, 0}, shadow.cell_m),
+          .nodes = nodes.pixels().data(),
+          .width = nodes.width(),
+          .height = nodes.height(),
+          .samples = samples,
+          .fraction = fraction,
+          .area = area,
+          .lens = view.lens.get()};
 }
 
 }  // namespace
 
-bool Receivers::prepare_lookup(const prt::PinholeView& view, const glm::dmat4& clip_from_world,
+void Receivers::find_visible_part(const View& view, const Homography& at, const glm::dvec3& point,
+                                  const glm::dvec3& normal, const glm::dvec2& low,
+                                  const glm::dvec2& high, const Rect& area, Sides& out) {
+  out.first = half_images_.size();
+  find_visible(view, point, normal);
+  out.exact = half_images_.size() - out.first;
+  add_sides(at, low, high);
+  out.count = half_images_.size() - out.first;
+  if (lens_) find_bands(area, out);
+}
+
+bool Receivers::prepare_lookup(const View& view, const ViewProjection& from_world,
                                const FloorReceiver& r, PlaneLookup& lookup) {
   if (!r.has_shadow || !r.visible) return false;
   const double h = r.grid.height;
@@ -122,53 +136,51 @@ bool Receivers::prepare_lookup(const prt::PinholeView& view, const glm::dmat4& c
                                  {r.high.x, h, r.low.y},
                                  {r.low.x, h, r.high.y},
                                  {r.high.x, h, r.high.y}};
-  lookup.area =
-      reach(clip_from_world * r.world_from_bake.matrix(), corners, view.width, view.height);
+  lookup.area = from_world.of(r.world_from_bake).reach(corners);
   if (lookup.area.empty()) return false;
   lookup.ratio = r.ratio.pixels().data();
   lookup.size = r.grid.size;
-  lookup.at = homography(view, r.world_from_bake.inverse() * view.world_from_camera, h,
+  lookup.lens = view.lens.get();
+  lookup.at = homography(view, r.world_from_bake.inverse() * view.camera.world_from_camera, h,
                          {r.grid.centre.x, r.grid.centre.y}, r.grid.half_extent);
-  const std::size_t first = half_images_.size();
-  find_visible(view, r.world_from_bake * glm::dvec3(0, h, 0),
-               r.world_from_bake.rotation * glm::dvec3(0, 1, 0));
   const glm::dvec2 centre(r.grid.centre.x, r.grid.centre.y);
   const double half = r.grid.half_extent;
-  add_sides(lookup.at, (r.low - centre) / half, (r.high - centre) / half);
-  lookup.visible = {first, half_images_.size() - first};
+  find_visible_part(view, lookup.at, r.world_from_bake * glm::dvec3(0, h, 0),
+                    r.world_from_bake.rotation * glm::dvec3(0, 1, 0), (r.low - centre) / half,
+                    (r.high - centre) / half, lookup.area, lookup.visible);
   return true;
 }
 
-Rect Receivers::prepare(const prt::PinholeView& view) {
+Rect Receivers::prepare(const View& view) {
+  lens_ = view.lens.get();
+  bands_.clear();
   lookups_.clear();
   virtual_occlusion_.clear();
   real_occlusion_.clear();
   fine_missing_.clear();
   half_images_.clear();
   Rect all;
-  const glm::dmat4 clip_from_world = clip_from_world_of(view);
+  const ViewProjection from_world = view.projection();
   PlaneLookup lookup;
   for (const FloorReceiver& r : receivers_) {
-    if (!prepare_lookup(view, clip_from_world, r, lookup)) continue;
+    if (!prepare_lookup(view, from_world, r, lookup)) continue;
     lookups_.push_back(lookup);
     all = united(all, lookup.area);
   }
   real_lookup_.reset();
-  if (real_ && prepare_lookup(view, clip_from_world, *real_, lookup)) real_lookup_ = lookup;
+  if (real_ && prepare_lookup(view, from_world, *real_, lookup)) real_lookup_ = lookup;
   const auto source_area = [&](const shadows::ShadowMap& s) {
     const double x = (s.virtual_occlusion.width() - 1) * double(s.cell_m),
                  z = (s.virtual_occlusion.height() - 1) * double(s.cell_m);
     const glm::dvec3 corners[4] = {{0, 0, 0}, {x, 0, 0}, {0, 0, z}, {x, 0, z}};
-    return reach(clip_from_world * s.world_from_map.matrix(), corners, view.width, view.height);
+    return from_world.of(s.world_from_map).reach(corners);
   };
   const auto look_up = [&](const shadows::ShadowMap& s, const Image<float>& nodes,
                            const Rgb& fraction, const Rect& area) {
     ShadowMapLookup out = shadow_lookup(view, s, nodes, samples_, fraction, area);
-    const std::size_t first = half_images_.size();
-    find_visible(view, s.world_from_map.translation,
-                 s.world_from_map.rotation * glm::dvec3(0, 1, 0));
-    add_sides(out.at, {0, 0}, {nodes.width() - 1, nodes.height() - 1});
-    out.visible = {first, half_images_.size() - first};
+    find_visible_part(view, out.at, s.world_from_map.translation,
+                      s.world_from_map.rotation * glm::dvec3(0, 1, 0), {0, 0},
+                      {nodes.width() - 1, nodes.height() - 1}, area, out.visible);
     return out;
   };
   for (const RealShadowMap& d : real_shadow_maps_)
@@ -190,13 +202,14 @@ Rect Receivers::prepare(const prt::PinholeView& view) {
 
 // 1/t along the ray of a pixel to a plane is (n.d)/(n.(p - eye)): linear in the pixel, and largest
 // for the nearest plane.
-void Receivers::find_visible(const prt::PinholeView& view, const glm::dvec3& point,
-                             const glm::dvec3& normal) {
+void Receivers::find_visible(const View& from, const glm::dvec3& point, const glm::dvec3& normal) {
   constexpr double kSame = 1e-6;
+  const prt::PinholeView& view = from.camera;
   const glm::dmat3 turn = view.world_from_camera.rotation_matrix();
   const auto nearness = [&](const glm::dvec3& p, const glm::dvec3& n) {
     const double height = glm::dot(n, p - view.world_from_camera.translation);
     const glm::dvec3 m = glm::transpose(turn) * n / (std::abs(height) > 1e-12 ? height : 1e-12);
+    if (from.lens) return HalfImage{m.x, m.y, m.z};
     return HalfImage{m.x / view.focal_px.x, -m.y / view.focal_px.y,
                      -m.x * view.principal_px.x / view.focal_px.x +
                          m.y * view.principal_px.y / view.focal_px.y - m.z};
@@ -214,12 +227,20 @@ void Receivers::find_visible(const prt::PinholeView& view, const glm::dvec3& poi
 }
 
 // (x, z) = (X, Z)/W is at or past a side where X - side W >= 0 in front of the camera: linear in
-// the pixel. Half a pixel more, for those that a side passes through.
+// the pixel. Half a pixel more, for those that a side passes through; through a lens as much as
+// lies between two nodes of its grid, of rays that turn up to twice as fast as on the axis.
 void Receivers::add_sides(const Homography& at, const glm::dvec2& low, const glm::dvec2& high) {
   const auto past = [&](int axis, double side, double sign) {
     const auto term = [&](int k) { return sign * (at.h[axis][k] - side * at.h[2][k]); };
-    half_images_.push_back(
-        {term(0), term(1), term(2) + .5 * (std::abs(term(0)) + std::abs(term(1)))});
+    HalfImage half{term(0), term(1), term(2)};
+    if (lens_) {
+      const glm::dvec2& focal = lens_->model().focal_px;
+      half.margin = 2 * ViewLens::kCell / std::min(focal.x, focal.y) *
+                    (std::abs(half.a) + std::abs(half.b) + std::abs(half.c));
+    } else {
+      half.c += .5 * (std::abs(half.a) + std::abs(half.b));
+    }
+    half_images_.push_back(half);
   };
   for (const int axis : {0, 1}) {
     past(axis, low[axis], 1);
@@ -239,7 +260,46 @@ Rect Receivers::reach_in_row(int y) const {
   return all;
 }
 
+namespace {
+
+// Of the row within `area`; nothing outside.
+template <class Columns>
+Columns within(Columns c, const Rect& area) {
+  return {std::max(c.x0, area.x0), std::min(c.x1, area.x1)};
+}
+
+}  // namespace
+
+// Between the nodes above and below; a cell more on each side.
+void Receivers::find_bands(const Rect& area, Sides& sides) {
+  constexpr int kCell = ViewLens::kCell;
+  const std::size_t columns = lens_->columns();
+  const std::span own = std::span(half_images_).subspan(sides.first, sides.count);
+  const auto seen = [&](std::size_t node) {
+    const double x = lens_->ray_x()[node], y = lens_->ray_y()[node], z = lens_->ray_z()[node];
+    return std::ranges::all_of(
+        own, [&](const HalfImage& h) { return h.a * x + h.b * y + h.c * z + h.margin >= 0; });
+  };
+  sides.bands = bands_.size();
+  for (int band = area.y0 / kCell; band * kCell < area.y1; ++band) {
+    const std::size_t above = static_cast<std::size_t>(band) * columns;
+    const auto any = [&](int node) {
+      const std::size_t n = above + static_cast<std::size_t>(node);
+      return seen(n) || seen(n + columns);
+    };
+    int first = area.x0 / kCell, last = area.x1 / kCell + 1;
+    while (first <= last && !any(first)) ++first;
+    while (last > first && !any(last)) --last;
+    bands_.push_back(first > last ? Columns{0, 0}
+                                  : Columns{(first - 1) * kCell, (last + 1) * kCell});
+  }
+}
+
 Receivers::Columns Receivers::visible_columns(const Sides& sides, int y, const Rect& area) const {
+  if (lens_)
+    return within(bands_[sides.bands +
+                         static_cast<std::size_t>(y / ViewLens::kCell - area.y0 / ViewLens::kCell)],
+                  area);
   double first = area.x0, last = area.x1;
   for (const HalfImage& h : std::span(half_images_).subspan(sides.first, sides.count)) {
     const double residual = h.b * (y + .5) + h.c;
@@ -257,23 +317,32 @@ Receivers::Columns Receivers::visible_columns(const Sides& sides, int y, const R
   return {static_cast<int>(first), static_cast<int>(last)};
 }
 
-namespace {
-
-// Of the row within `area`; nothing outside.
-template <class Columns>
-Columns within(Columns c, const Rect& area) {
-  return {std::max(c.x0, area.x0), std::min(c.x1, area.x1)};
+// Before a lens other planes may hide any part of the row.
+template <class Lookup, class Body>
+void Receivers::for_visible(const Lookup& lookup, int y, const Rect& area, const Body& body) const {
+  if (y < lookup.area.y0 || y >= lookup.area.y1) return;
+  const Columns c = within(visible_columns(lookup.visible, y, lookup.area), area);
+  if (c.x0 >= c.x1) return;
+  if (!lens_ || lookup.visible.exact == 0) return body(c);
+  thread_local std::vector<float> least;  // grows once per thread
+  const auto width = static_cast<std::size_t>(c.x1 - c.x0);
+  least.resize(std::max(least.size(), width));
+  load_least_side(*lens_,
+                  std::span(half_images_).subspan(lookup.visible.first, lookup.visible.exact), y,
+                  c.x0, c.x1, least.data());
+  for (std::size_t from = 0, to = 0; from < width; from = to + 1) {
+    to = from;
+    while (to < width && least[to] >= 0) ++to;
+    if (to > from) body(Columns{c.x0 + static_cast<int>(from), c.x0 + static_cast<int>(to)});
+  }
 }
-
-}  // namespace
 
 void Receivers::multiply(const PlaneLookup& plane, int y, const Rect& area, float* r, float* g,
                          float* b) const {
-  if (y < plane.area.y0 || y >= plane.area.y1) return;
-  const Columns c = within(visible_columns(plane.visible, y, plane.area), area);
-  if (c.x0 >= c.x1) return;
-  const int skip = c.x0 - area.x0;
-  multiply_plane_ratios(plane, y, c.x0, c.x1, r + skip, g + skip, b + skip);
+  for_visible(plane, y, area, [&](const Columns& c) {
+    const int skip = c.x0 - area.x0;
+    multiply_plane_ratios(plane, y, c.x0, c.x1, r + skip, g + skip, b + skip);
+  });
 }
 
 bool Receivers::load_row(int y, const Rect& area, float* r, float* g, float* b) const {
@@ -293,10 +362,9 @@ void Receivers::take_missing(int y, const Rect& area, std::span<float> r, std::s
   for (std::size_t shadow_map = 0; shadow_map < real_occlusion_.size(); ++shadow_map) {
     row.assign(r.size(), 0.f);
     const auto load = [&](const ShadowMapLookup& d) {
-      if (y < d.area.y0 || y >= d.area.y1) return;
-      const Columns c = within(visible_columns(d.visible, y, d.area), area);
-      if (c.x0 < c.x1)
+      for_visible(d, y, area, [&](const Columns& c) {
         load_shadow_values(d, y, c.x0, c.x1, &row[static_cast<std::size_t>(c.x0 - area.x0)]);
+      });
     };
     load(real_occlusion_[shadow_map]);
     for (const FineLookup& fine : fine_missing_)
@@ -312,13 +380,11 @@ void Receivers::take_missing(int y, const Rect& area, std::span<float> r, std::s
 
 void Receivers::subtract_shadows(int y, const Rect& area, float* r, float* g, float* b) const {
   const auto subtract_taken = [&] {
-    for (const ShadowMapLookup& d : virtual_occlusion_) {
-      if (y < d.area.y0 || y >= d.area.y1) continue;
-      const Columns c = within(visible_columns(d.visible, y, d.area), area);
-      if (c.x0 >= c.x1) continue;
-      const int skip = c.x0 - area.x0;
-      subtract_shadow_fractions(d, y, c.x0, c.x1, r + skip, g + skip, b + skip);
-    }
+    for (const ShadowMapLookup& d : virtual_occlusion_)
+      for_visible(d, y, area, [&](const Columns& c) {
+        const int skip = c.x0 - area.x0;
+        subtract_shadow_fractions(d, y, c.x0, c.x1, r + skip, g + skip, b + skip);
+      });
   };
   const auto width = static_cast<std::size_t>(area.width());
   float* const rows[] = {r, g, b};

@@ -1,6 +1,7 @@
 // Shadow ratios on receiving planes, evaluated pixel by pixel on the CPU: a plane seen by a pinhole
 // is one homography, so a row costs a division, a lookup and no drawing. Without a GPU this takes a
-// fifth of the time of a textured quad; with one it takes the same.
+// fifth of the time of a textured quad; with one it takes the same. Through a lens the homography
+// is of the pixels' rays, which a grid holds.
 #pragma once
 
 #include <algorithm>
@@ -11,27 +12,32 @@
 
 #include "compositor/projection.h"
 #include "compositor/view.h"
+#include "compositor/view_lens.h"
 #include "core/pose.h"
-#include "prt/geometry/pinhole_view.h"
 #include "prt/geometry/receiver.h"
 #include "shadows/field/planar_shadow.h"
 #include "shadows/silhouette/shadow_map.h"
 
 namespace penumbra::compositor {
 
-/// Homogeneous position on a plane of a pixel: (x, z, w) = h * (px, py, 1), w > 0 in front.
+/// Homogeneous position on a plane of a pixel: (x, z, w) = h * (px, py, 1), w > 0 in front; through
+/// a lens of the pixel's ray in the camera's frame instead.
 struct Homography {
   float h[3][3];
 };
 
-/// Pixels at which a plane is in front of another one: a px + b py + c >= 0.
+/// Pixels at which a plane is in front of another one: a px + b py + c >= 0; through a lens
+/// a x + b y + c z + margin of the ray.
 struct HalfImage {
   double a, b, c;
+  double margin = 0;
 };
 
-/// Some of Receivers' half images.
+/// Some of Receivers' half images; the first ones count to the pixel, for the others a few pixels
+/// more do no harm.
 struct Sides {
-  std::size_t first = 0, count = 0;
+  std::size_t first = 0, count = 0, exact = 0;
+  std::size_t bands = 0;  // through a lens: the first of Receivers' bands
 };
 
 /// A shadow ratio of 0 to 1.5 in one word: a pixel reads four instead of twelve, which is most of
@@ -55,6 +61,7 @@ struct PlaneLookup {
   int size;
   Rect area;  // pixels that the visible part can reach
   Sides visible{};
+  const ViewLens* lens = nullptr;
 };
 
 /// The shadow of one light on a plane, likewise.
@@ -66,6 +73,7 @@ struct ShadowMapLookup {
   Rgb fraction;  // of the light in the light of the open plane
   Rect area;
   Sides visible{};
+  const ViewLens* lens = nullptr;
 };
 
 class Receivers {
@@ -89,7 +97,8 @@ class Receivers {
   void set_shadow_maps(std::span<const ShadowMapOnPlane> lights);
 
   /// Prepares for one view; returns the pixels that any shadow can reach.
-  Rect prepare(const prt::PinholeView& view);
+  /// in: the view's lens stays for as long as rows are loaded
+  Rect prepare(const View& view);
   /// The ratios s of row y, pixels [area.x0, area.x1), into r, g, b, which hold 1 on entry:
   ///   s = 1 - (1 - product of the objects' ratios + sum_j F_j q_j)/(r - sum_j F_j m_j)
   /// An object's ratio is 1 - of_open (1 - its shadow's), so that all is of the open plane's light.
@@ -131,12 +140,20 @@ class Receivers {
     int x0, x1;
   };
   /// To half_images_: where a plane is in front of all real ones.
-  void find_visible(const prt::PinholeView& view, const glm::dvec3& point,
-                    const glm::dvec3& normal);
+  void find_visible(const View& view, const glm::dvec3& point, const glm::dvec3& normal);
   /// To half_images_: the pixels that touch positions [low, high] of a plane.
   void add_sides(const Homography& at, const glm::dvec2& low, const glm::dvec2& high);
+  void find_visible_part(const View& view, const Homography& at, const glm::dvec3& point,
+                         const glm::dvec3& normal, const glm::dvec2& low, const glm::dvec2& high,
+                         const Rect& area, Sides& out);
   Columns visible_columns(const Sides& sides, int y, const Rect& area) const;
-  bool prepare_lookup(const prt::PinholeView& view, const glm::dmat4& clip_from_world,
+  /// To bands_, for each row of the lens's cells that `area` meets: the columns that the sides
+  /// leave.
+  void find_bands(const Rect& area, Sides& sides);
+  /// Calls body(columns) for the pixels of a row within `area` where a lookup is seen.
+  template <class Lookup, class Body>
+  void for_visible(const Lookup& lookup, int y, const Rect& area, const Body& body) const;
+  bool prepare_lookup(const View& view, const ViewProjection& from_world,
                       const FloorReceiver& receiver, PlaneLookup& out);
   void multiply(const PlaneLookup& plane, int y, const Rect& area, float* r, float* g,
                 float* b) const;
@@ -157,11 +174,17 @@ class Receivers {
   std::vector<ShadowMapLookup> real_occlusion_;  // of real_shadow_maps_
   std::vector<FineLookup> fine_missing_;
   std::vector<HalfImage> half_images_;  // of the lookups
+  const ViewLens* lens_ = nullptr;      // of the last prepare(), as its bands
+  std::vector<Columns> bands_;
 };
 
 /// Multiplies ratios of pixels [x0, x1) of row y into r[0 .. x1-x0) and so on.
 void multiply_plane_ratios(const PlaneLookup& plane, int y, int x0, int x1, float* r, float* g,
                            float* b);
+
+/// Writes the least of the half images' values at pixels [x0, x1) of row y, seen through a lens.
+void load_least_side(const ViewLens& lens, std::span<const HalfImage> sides, int y, int x0, int x1,
+                     float* out);
 
 /// Writes the value of pixels [x0, x1) of row y that the map holds wholly to out[0 .. x1-x0);
 /// leaves the others.

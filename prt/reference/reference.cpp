@@ -202,8 +202,13 @@ Rgb Tracer::seen_from_camera(const glm::vec3& o, const glm::vec3& d, PathNumbers
   return point.albedo * gather(point, numbers);
 }
 
-void render_half(const Tracer& tracer, const PinholeView& view, std::uint64_t seed, int first,
-                 int count, Image<Rgb>& sum) {
+glm::dvec3 pinhole_ray(const PinholeView& view, glm::dvec2 pixel) {
+  return glm::normalize(glm::dvec3((pixel.x - view.principal_px.x) / view.focal_px.x,
+                                   -(pixel.y - view.principal_px.y) / view.focal_px.y, -1));
+}
+
+void render_half(const Tracer& tracer, const PinholeView& view, const ReferenceOptions& options,
+                 std::uint64_t seed, int first, int count, Image<Rgb>& sum) {
   const glm::vec3 origin(view.world_from_camera.translation);
   parallel_for(0, view.height, 4, [&](const auto& rows) {
     for (int y = rows.begin(); y < rows.end(); ++y)
@@ -214,9 +219,10 @@ void render_half(const Tracer& tracer, const PinholeView& view, std::uint64_t se
               static_cast<std::uint64_t>(x);
           PathNumbers numbers(seed * 0x100000001b3ull + pixel, s);
           const double px = x + double(numbers.next()), py = y + double(numbers.next());
-          const glm::dvec3 in_camera((px - view.principal_px.x) / view.focal_px.x,
-                                     -(py - view.principal_px.y) / view.focal_px.y, -1);
-          const glm::vec3 d(glm::normalize(view.world_from_camera.rotation * in_camera));
+          const glm::dvec3 in_camera =
+              options.ray ? options.ray({px, py}) : pinhole_ray(view, {px, py});
+          if (in_camera == glm::dvec3(0)) continue;
+          const glm::vec3 d(view.world_from_camera.rotation * in_camera);
           sum.at(x, y) += tracer.seen_from_camera(origin, d, numbers);
         }
   });
@@ -252,8 +258,8 @@ Result<Reference> render_reference(const ReferenceWorld& world, const PinholeVie
   double error = 1;
   for (int pass = 4; done < options.max_samples / 2; pass = std::min(pass * 2, 64)) {
     const int count = std::min(pass, options.max_samples / 2 - done);
-    render_half(tracer, view, 2 * options.seed, done, count, out.half_a);
-    render_half(tracer, view, 2 * options.seed + 1, done, count, out.half_b);
+    render_half(tracer, view, options, 2 * options.seed, done, count, out.half_a);
+    render_half(tracer, view, options, 2 * options.seed + 1, done, count, out.half_b);
     done += count;
     error = half_difference(out.half_a, out.half_b, done);
     if (options.progress)

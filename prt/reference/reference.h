@@ -40,6 +40,9 @@ struct ReferenceOptions {
   int max_samples = 4096;  // per pixel
   std::uint64_t seed = 1;
   std::function<void(double done)> progress;
+  /// Where a continuous pixel looks in the camera's frame, unit; 0 where it shows nothing, which
+  /// stays black. Empty: the view's own pinhole.
+  std::function<glm::dvec3(glm::dvec2 pixel)> ray;
 };
 
 struct Reference {

@@ -7,7 +7,6 @@
 #include <glm/geometric.hpp>
 
 #include "calib/camera/camera_model.h"
-#include "calib/camera/drawable.h"
 #include "capture/recording/folder.h"
 #include "codec/codec.h"
 
@@ -105,7 +104,9 @@ Result<prt::Mesh> read_depth_mesh(const std::filesystem::path& depth_file,
                                   const std::filesystem::path& camera_file, Rgb albedo) {
   PENUMBRA_ASSIGN(camera, capture::read_camera_file(camera_file));
   const calib::CameraModel& p = camera.projection;
-  PENUMBRA_TRY(calib::check_drawable(p, camera_file.string()));
+  if (p.kind != calib::ProjectionKind::kPinhole || p.is_distorted())
+    return fail(ErrorCode::kInvalid, camera_file.string(),
+                "is not a pinhole without distortion, and depth pictures have to be seen by one");
   PENUMBRA_ASSIGN(frame, codec::read_frame(depth_file));
   Image<float> depth;
   const auto take = [&](const auto& pixels, float metres) {

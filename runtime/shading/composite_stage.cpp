@@ -4,7 +4,6 @@
 #include <cmath>
 
 #include "calib/camera/camera_model.h"
-#include "calib/camera/drawable.h"
 #include "calib/camera/lens_vignetting.h"
 #include "calib/camera/response_table.h"
 #include "calib/camera/vignetting.h"
@@ -105,7 +104,6 @@ Result<std::unique_ptr<CompositeStage>> CompositeStage::create(
   const capture::CameraInfo* first = nullptr;
   for (const capture::CameraInfo& c : cameras) {
     if (c.role != capture::Role::kView) continue;
-    PENUMBRA_TRY(calib::check_drawable(c.projection, c.name));
     if (first && (c.projection.width != first->projection.width ||
                   c.projection.height != first->projection.height))
       return fail(ErrorCode::kInvalid, c.name,
@@ -125,10 +123,7 @@ Result<std::unique_ptr<CompositeStage>> CompositeStage::create(
   auto stage = std::unique_ptr<CompositeStage>(
       new CompositeStage(std::move(compositor), std::move(lights), std::move(recovery), scene,
                          std::move(moving), times));
-  for (const capture::CameraInfo& c : cameras) {
-    const Vignetting vignetting = calib::vignetting_of(c.projection, c.vignetting);
-    stage->views_.push_back({c, vignetting, calib::min_fraction(vignetting, c.projection)});
-  }
+  for (const capture::CameraInfo& c : cameras) PENUMBRA_TRY(stage->add_camera(c));
   if (!scene.real_mesh.triangles.empty()) stage->compositor_->add_occluder(scene.real_mesh);
   if (scene.real && scene.real->baked.receiver)
     stage->compositor_->add_real_receiver(scene.real->baked.receiver->grid,
@@ -491,8 +486,22 @@ void CompositeStage::warm_up() {
   const calib::CameraModel& p = camera->info.projection;
   FramePixels black = Image<Rgb>(p.width, p.height);
   // What fails here fails again at the first frame, which says so.
-  (void)compositor_->composite(
-      {{p.width, p.height, p.focal_px, p.principal_px, camera->info.world_from_camera}}, black);
+  compositor::View view{
+      {p.width, p.height, p.focal_px, p.principal_px, camera->info.world_from_camera}};
+  view.lens = camera->lens;
+  (void)compositor_->composite(view, black);
+}
+
+Result<void> CompositeStage::add_camera(const capture::CameraInfo& info) {
+  const Vignetting vignetting = calib::vignetting_of(info.projection, info.vignetting);
+  ViewCamera camera{info, vignetting, calib::min_fraction(vignetting, info.projection)};
+  if (info.role == capture::Role::kView) {
+    PENUMBRA_ASSIGN(lens, compositor::ViewLens::create(info.projection, info.name));
+    if (lens) compositor_->use_lens(*lens);
+    camera.lens = std::move(lens);
+  }
+  views_.push_back(std::move(camera));
+  return {};
 }
 
 compositor::View CompositeStage::view_of(const capture::Frame& frame) {
@@ -503,7 +512,8 @@ compositor::View CompositeStage::view_of(const capture::Frame& frame) {
           static_cast<float>(frame.exposure.product()),
           sensor_effects_of(camera.info, frame),
           camera.vignetting,
-          floor_radiance_ * static_cast<float>(frame.exposure.product() * camera.min_fraction)};
+          floor_radiance_ * static_cast<float>(frame.exposure.product() * camera.min_fraction),
+          camera.lens};
 }
 
 Result<void> CompositeStage::process(const capture::Frame& frame,

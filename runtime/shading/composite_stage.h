@@ -166,6 +166,7 @@ class CompositeStage {
     capture::CameraInfo info;
     Vignetting vignetting;
     double min_fraction;  // of the light that the lens leaves anywhere
+    std::shared_ptr<const compositor::ViewLens> lens{};
     std::optional<ResponseTable> curve8{}, curve16{};
     double darker_factor = kDarker;  // of the next frame for light
   };
@@ -173,6 +174,7 @@ class CompositeStage {
   CompositeStage(std::unique_ptr<compositor::Compositor> compositor, DirectLightStage lights,
                  FloorRecovery recovery, const PreparedScene& scene,
                  std::unique_ptr<PreparedScene> moving, StageTimes& times);
+  Result<void> add_camera(const capture::CameraInfo& info);
   std::shared_ptr<const RelightBases> bases_of(const prt::BakedObject& baked) const;
   static bool differs_visibly(const RadianceSh& before, const RadianceSh& now);
   static bool differs_visibly(const ObjectLight& before, const ObjectLight& now);

@@ -30,30 +30,43 @@ struct Setup {
   }
 };
 
+compositor::View view_of_knot(int width, int height, const ResponseTable& curve) {
+  const glm::dvec3 eye(.25, .62, 1.8);
+  const glm::dvec3 back = glm::normalize(eye - glm::dvec3(0, .2, 0)),
+                   right = glm::normalize(glm::cross(glm::dvec3(0, 1, 0), back));
+  return {{width,
+           height,
+           {width * .82, width * .82},
+           {width / 2., height / 2.},
+           {glm::quat_cast(glm::dmat3(right, glm::cross(back, right), back)), eye}},
+          &curve,
+          .2f};
+}
+
+ResponseTable power_curve() {
+  std::vector<float> decode(256);
+  for (std::size_t z = 0; z < 256; ++z)
+    decode[z] = static_cast<float>(std::pow(static_cast<double>(z) / 255, 2.2));
+  return {{decode, decode, decode}, 0};
+}
+
+const Setup& knot_setup() {
+  static const Setup setup;
+  return setup;
+}
+
 // Peer: copying the frame once, which any compositor must do.
 void composite(benchmark::State& state) {
   const Threads threads(static_cast<int>(state.range(0)));
   const int width = static_cast<int>(state.range(1)), height = width * 9 / 16;
-  static const Setup setup;
+  const Setup& setup = knot_setup();
   auto compositor =
       compositor::Compositor::create(width, height, compositor::Compositor::Surface::kOffscreen);
   if (!compositor) return state.SkipWithError(compositor.error().detail.c_str());
   const int handle = (*compositor)->add_object(setup.object);
   (*compositor)->set_light(handle, setup.relit, setup.shadow);
-  std::vector<float> decode(256);
-  for (std::size_t z = 0; z < 256; ++z)
-    decode[z] = static_cast<float>(std::pow(static_cast<double>(z) / 255, 2.2));
-  const ResponseTable curve({decode, decode, decode}, 0);
-  const glm::dvec3 eye(.25, .62, 1.8);
-  const glm::dvec3 back = glm::normalize(eye - glm::dvec3(0, .2, 0)),
-                   right = glm::normalize(glm::cross(glm::dvec3(0, 1, 0), back));
-  compositor::View view{{width,
-                         height,
-                         {width * .82, width * .82},
-                         {width / 2., height / 2.},
-                         {glm::quat_cast(glm::dmat3(right, glm::cross(back, right), back)), eye}},
-                        &curve,
-                        .2f};
+  const ResponseTable curve = power_curve();
+  compositor::View view = view_of_knot(width, height, curve);
   const FramePixels frame = Image<Rgb8>(width, height, {120, 110, 100});
   FramePixels work = frame;
   Image<Rgb8> copy(width, height);
@@ -81,6 +94,58 @@ BENCHMARK(composite)
     ->Args({1, 1920, 0})
     ->Args({2, 1280, 0})
     ->Iterations(21)
+    ->UseManualTime()
+    ->Unit(benchmark::kMillisecond);
+
+// The camera moves. Peer: the same through a pinhole of the same focal length. lens: 0 a webcam's
+// barrel distortion, 1 a fisheye of 150 degrees across the width.
+void composite_through_lens(benchmark::State& state) {
+  const Threads threads(2);
+  constexpr int kWidth = 1280, kHeight = 720;
+  const Setup& setup = knot_setup();
+  const ResponseTable curve = power_curve();
+  const bool fisheye = state.range(0) == 1;
+  calib::CameraModel model{calib::ProjectionKind::kPinhole, kWidth, kHeight, {}, {640, 360}, {}};
+  model.focal_px = glm::dvec2(kWidth * .82);
+  model.distortion = {-.12, .03, .001, -.001, 0};
+  if (fisheye) {
+    model.kind = calib::ProjectionKind::kKannalaBrandt;
+    model.focal_px = glm::dvec2(kWidth / 2.618);
+    model.distortion = {-.02, .004, -.001, 0, 0};
+  }
+  const auto lens = compositor::ViewLens::create(model, "lens");
+  if (!lens) return state.SkipWithError(lens.error().detail.c_str());
+  std::unique_ptr<compositor::Compositor> compositors[2];
+  compositor::View views[2];
+  for (int i = 0; i < 2; ++i) {
+    auto made = compositor::Compositor::create(kWidth, kHeight,
+                                               compositor::Compositor::Surface::kOffscreen);
+    if (!made) return state.SkipWithError(made.error().detail.c_str());
+    compositors[i] = std::move(*made);
+    views[i] = view_of_knot(kWidth, kHeight, curve);
+    views[i].camera.focal_px = model.focal_px;
+    if (i == 0) views[i].lens = *lens, compositors[i]->use_lens(**lens);
+    const int handle = compositors[i]->add_object(setup.object);
+    compositors[i]->set_light(handle, setup.relit, setup.shadow);
+  }
+  const FramePixels frame = Image<Rgb8>(kWidth, kHeight, {120, 110, 100});
+  FramePixels work = frame;
+  double touched[2] = {};
+  const auto run = [&](int i) {
+    views[i].camera.world_from_camera.translation.x += 1e-4;
+    touched[i] = compositors[i]->composite(views[i], frame, work)->fraction;
+  };
+  compare(
+      state, [&] { run(0); }, [&] { run(1); });
+  state.counters["touched"] = touched[0];
+  state.counters["touched_pinhole"] = touched[1];
+}
+BENCHMARK(composite_through_lens)
+    ->Name("compositor/lens_vs_pinhole")
+    ->ArgName("fisheye")
+    ->Arg(0)
+    ->Arg(1)
+    ->Iterations(41)
     ->UseManualTime()
     ->Unit(benchmark::kMillisecond);
 

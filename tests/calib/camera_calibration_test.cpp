@@ -221,17 +221,6 @@ TEST(CameraCalibration, RefusesWhatCannotBeKnownAndSaysWhatToCapture) {
   EXPECT_GT(wrong->rms_px, 1);
 }
 
-TEST(CameraCalibration, UndistortedKeepsTheDistortionAtZero) {
-  CameraModel camera = projection(kPinhole, kLensWidth, kLensHeight);
-  camera.focal_px = {900, 905};
-  const auto result = calibrate_camera(simulate(camera, 12, 2), kPinhole, kLensWidth, kLensHeight,
-                                       {.undistorted = true});
-  ASSERT_TRUE(result);
-  EXPECT_FALSE(result->projection.is_distorted());
-  EXPECT_NEAR(result->projection.focal_px.x, 900, 4 * result->focal_sigma_px.x);
-  EXPECT_EQ(result->distortion_sigma[0], 0);
-}
-
 // ------------------------------------------------------------------------------- real pictures
 
 std::vector<BoardView> look(const std::filesystem::path& folder, const std::string& prefix,

@@ -89,7 +89,7 @@ std::vector<ContourLine> lines_of(const Things& things, const prt::PinholeView& 
   std::vector<ContourLine> lines;
   for (const Thing& t : things)
     EXPECT_TRUE(Contour(t.mesh).find(t.mesh.positions, t.mesh.triangles, t.fronts_only,
-                                     clip_from_world_of(view), kWidth, kHeight, lines));
+                                     ViewProjection(view, nullptr), lines));
   return lines;
 }
 
@@ -220,7 +220,7 @@ TEST(Contour, SeesTheFrontsAloneAndNothingThatReachesBehindTheCamera) {
   const auto find = [&](const glm::dvec3& eye, bool fronts_only) {
     lines.clear();
     return contour.find(box.positions, box.triangles, fronts_only,
-                        clip_from_world_of(view_from(eye)), kWidth, kHeight, lines);
+                        ViewProjection(view_from(eye), nullptr), lines);
   };
   // Three sides; six edges between front and back, three creases from both of their sides.
   EXPECT_TRUE(find({3, 4, 5}, true));
@@ -316,7 +316,7 @@ TEST(Contour, TrianglesWithoutAreaAndFarAsideGiveNoNan) {
     for (const glm::dvec3& at : {glm::dvec3(3, 0, .1), glm::dvec3(0, 0, -3)}) {
       std::vector<ContourLine> lines;
       Contour(mesh).find(mesh.positions, mesh.triangles, false,
-                         clip_from_world_of(view_from(eye, at)), kWidth, kHeight, lines);
+                         ViewProjection(view_from(eye, at), nullptr), lines);
       Layer layer{{0, 0, kWidth, kHeight}, std::vector<std::uint16_t>(4 * kWidth * kHeight)};
       for (auto& half : layer.halves) half = half_from_float(unit(random) < .5f ? 0 : unit(random));
       ContourSmoother().smooth(lines, layer);

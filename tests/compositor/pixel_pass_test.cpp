@@ -52,7 +52,7 @@ Receivers shadow_below(const View& view, Rect& area) {
   const int receiver = out.add(grid);
   out.set_pose(receiver, {});
   out.set_shadow(receiver, shadow);
-  area = out.prepare(view.camera);
+  area = out.prepare(view);
   return out;
 }
 

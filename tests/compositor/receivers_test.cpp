@@ -56,7 +56,7 @@ template <class Expected>
 void expect_rows(Receivers& receivers, const Expected& expected) {
   int shaded = 0, spared = 0;
   for (const prt::PinholeView& view : receiver_views()) {
-    const Rect area = receivers.prepare(view);
+    const Rect area = receivers.prepare({view});
     for (int y = 0; y < kReceiverHeight; ++y) {
       const Rect narrow = receivers.reach_in_row(y);
       std::vector<float> r(kReceiverWidth, 1), g(kReceiverWidth, 1), b(kReceiverWidth, 1),

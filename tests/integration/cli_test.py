@@ -45,18 +45,12 @@ class DemoAndComposite(CliTest):
         runs = [self.root / "first", self.root / "second"]
         for run in runs:
             self.check_summary(self.run_json("composite", "--capture", record, "--scene", record / "scene.toml",
-                                             "--coarse", "--out", run))
+                                             "--coarse", "--out", run, *([] if run == runs[0] else ["--no-stills"])))
             self.check_summary(json.loads((run / "summary.json").read_text()))
-        names = sorted(p.name for p in runs[0].iterdir())
         frames = [f"frame_{i:06}.png" for i in range(6)]
-        self.assertEqual(names, sorted(frames + ["summary.json", "video.mp4"]))
-        self.assertEqual(names, sorted(p.name for p in runs[1].iterdir()))
-        for name in frames + ["video.mp4"]:
-            self.assertEqual((runs[0] / name).read_bytes(), (runs[1] / name).read_bytes(), name)
+        self.assertEqual(sorted(p.name for p in runs[0].iterdir()), sorted(frames + ["summary.json", "video.mp4"]))
         self.assertEqual((demo / "video.mp4").read_bytes(), (runs[0] / "video.mp4").read_bytes())
         self.assertEqual(files.read_png(demo / "still.png"), files.read_png(runs[0] / frames[-1]))
-        self.run_well("composite", "--capture", record, "--scene", record / "scene.toml", "--coarse",
-                      "--out", runs[1], "--no-stills")
         self.assertEqual(sorted(p.name for p in runs[1].iterdir()), ["summary.json", "video.mp4"])
         self.assertEqual((runs[0] / "video.mp4").read_bytes(), (runs[1] / "video.mp4").read_bytes())
         seen = self.run_json("hdr", "environment", record, "-o", self.root / "seen.exr")
@@ -117,7 +111,8 @@ class DemoAndComposite(CliTest):
         out.mkdir()
         script = f'mkdir "{out}"/.partial-$$ && echo stale > "{out}"/.partial-$$/frame_000099.png && exec "$@"'
         done = subprocess.run(["sh", "-c", script, "sh", program(), "demo", "--headless", "--frames", "1", "--width", "64",
-                               "--height", "64", "--no-turntable", "--bands", "1", "--out", str(out)],
+                               "--height", "64", "--no-turntable", "--asset", "builtin:box", "--bands", "1", "--out",
+                               str(out)],
                               env=self.environment, capture_output=True, text=True, timeout=300 * PATIENCE, check=False)
         if done.returncode == 2 and re.search(r"EGL|OpenGL ES", done.stderr):
             self.skipTest("no OpenGL ES 3.1: " + done.stderr.strip())
@@ -125,12 +120,12 @@ class DemoAndComposite(CliTest):
         self.assertEqual(sorted(p.name for p in out.iterdir()), ["camera.png", "still.png", "summary.json", "video.mp4"])
         silent = self.root / "silent"
         self.run_well("demo", "--headless", "--frames", 2, "--width", 64, "--height", 64, "--no-turntable", "--bands", 1,
-                      "--no-video", "--out", silent)
+                      "--asset", "builtin:box", "--no-video", "--out", silent)
         self.assertEqual(sorted(p.name for p in silent.iterdir()), ["camera.png", "still.png", "summary.json"])
 
     def test_stopped_composite_leaves_the_earlier_results_alone(self):
         record, out = self.root / "long", self.root / "kept"
-        self.run_well("demo", "--headless", "--frames", 90, "--width", 320, "--height", 180, "--out",
+        self.run_well("demo", "--headless", "--frames", 60, "--width", 320, "--height", 180, "--out",
                       self.root / "d", "--asset", "builtin:box", "--no-turntable", "--record", record)
         out.mkdir()
         for name in ("video.mp4", "frame_000000.png", "summary.json"):
@@ -249,8 +244,8 @@ class HdrMerge(CliTest):
 
 class Bake(CliTest):
     def test_built_in_object_gives_a_file_that_inspect_knows(self):
-        out = self.root / "knot.glb"
-        report = self.run_json("bake", "builtin:knot", "-o", out, "--bands", 2, "--bounces", 1, "--samples", 64)
+        out = self.root / "ball.glb"
+        report = self.run_json("bake", "builtin:ball", "-o", out, "--bands", 2, "--bounces", 1, "--samples", 64)
         keys = {"vertices", "texels", "coefficients", "rays", "seconds", "rays_per_second", "standard_error", "bytes"}
         self.assertLessEqual(keys, set(report))
         self.assertEqual(report["coefficients"], 4)
@@ -332,10 +327,10 @@ class Render(CliTest):
         files.write_scene(cls.root)
         files.write_hdr(cls.root / "even.hdr", 64, 32, (1.0, 0.5, 0.25))
 
-    def render(self, name, *more):
+    def render(self, name, *more, camera="camera.toml"):
         out = self.root / name
         self.run_json("render", "--scene", self.root / "scene.toml", "--environment", self.root / "even.hdr",
-                      "--camera", self.root / "camera.toml", "-o", out, *more)
+                      "--camera", self.root / camera, "-o", out, *more)
         return out
 
     def test_composite_agrees_with_the_path_traced_reference(self):
@@ -347,6 +342,18 @@ class Render(CliTest):
         drawn = self.run_json("compare", truth, empty)["rel_rmse"]
         self.assertGreater(drawn, 0.05, "nothing drawn")
         self.assertLess(wrong, 0.3 * drawn)
+
+    def test_a_fisheyes_picture_is_that_of_the_world_through_it(self):
+        text = (self.root / "camera.toml").read_text()
+        size = int(re.search(r"height = (\d+)", text).group(1))
+        (self.root / "fisheye.toml").write_text(re.sub(r'projection = "pinhole"(\nfocal_px.*)?', (
+            f'projection = "kb4"\nfocal_px = [{.6 * size}, {.6 * size}]\ndistortion = [-0.02, 0.004, 0, 0]'), text))
+        empty, ours, truth = (self.render(name, *more, camera="fisheye.toml") for name, *more in (
+            ("fe.exr", "--without-objects"), ("fo.exr",), ("ft.exr", "--reference", "--error", 0.005)))
+        self.assertGreater(self.run_json("compare", truth, empty)["rel_rmse"], 0.02, "nothing drawn")
+        self.assertLess(self.run_json("compare", ours, truth)["rel_rmse"],
+                        0.3 * self.run_json("compare", truth, empty)["rel_rmse"])
+        self.assertGreater(self.run_json("compare", ours, self.render("p.exr"))["rel_rmse"], 0.05, "as a pinhole")
 
 
 class Files(CliTest):

@@ -51,7 +51,6 @@ struct CalibrateCameraOptions {
   std::string camera = "camera";  // its name, there and in the output
   double every_s = .5;            // of a capture: at least so long between two pictures
   std::string board, projection = "pinhole", output;
-  bool undistorted = false;
   std::optional<std::string> report;
   bool json = false;
 };
@@ -253,7 +252,7 @@ Result<void> check_errors(const CalibrateCameraOptions& o, const calib::CameraCa
       c.rms_px);
   if (c.rms_px > kUseless * usual_px) return fail(ErrorCode::kUndetermined, o.camera, what);
   if (c.rms_px > usual_px) log_warning("{}: {}", o.camera, what);
-  if (std::ranges::any_of(c.distortion_fixed, std::identity()) && !o.undistorted)
+  if (std::ranges::any_of(c.distortion_fixed, std::identity()))
     log_info(
         "{}: the highest terms of the distortion stay at 0: the pictures do not determine them; "
         "bring the board to the borders",
@@ -284,8 +283,7 @@ Result<void> calibrate_camera(const CalibrateCameraOptions& o) {
                             found.pictures));
   if (found.pictures == 0)
     return fail(ErrorCode::kUndetermined, o.camera, "has no frame in the capture");
-  PENUMBRA_ASSIGN(result, calib::calibrate_camera(found.views, kind, found.width, found.height,
-                                                  {.undistorted = o.undistorted}));
+  PENUMBRA_ASSIGN(result, calib::calibrate_camera(found.views, kind, found.width, found.height));
   // Who is refused needs the report most.
   if (o.report) PENUMBRA_TRY(write_camera_report(*o.report, result, found.views));
   PENUMBRA_TRY(check_errors(o, result));
@@ -404,8 +402,6 @@ void add_calibrate_camera(CLI::App& parent, Action& action) {
   c->add_option("--projection", camera.projection,
                 "Camera model: pinhole, equidistant, kb4 or double-sphere")
       ->capture_default_str();
-  c->add_flag("--undistorted", camera.undistorted,
-              "Keep the distortion at 0, as a view camera needs it");
   c->add_option("-o,--output", camera.output, "Camera file to write, .toml")->required();
   c->add_option("--report", camera.report, "Folder for plots and a table of the residuals");
   add_json(c, camera.json);

@@ -3,13 +3,11 @@
 
 #include <filesystem>
 
-#include "calib/camera/drawable.h"
 #include "capture/recording/folder.h"
 #include "codec/codec.h"
 #include "core/io/files.h"
 #include "lighting/estimate.h"
 #include "lighting/light_estimate.h"
-#include "prt/geometry/pinhole_view.h"
 #include "runtime/pipeline/light_file.h"
 #include "runtime/pipeline/report.h"
 #include "runtime/scene/scene.h"
@@ -34,12 +32,16 @@ struct RenderOptions {
   bool json = false;
 };
 
-Result<prt::PinholeView> read_view(const std::string& path) {
+// The scene's view and lens.
+Result<void> read_view(const std::string& path, StillScene& out) {
   PENUMBRA_ASSIGN(camera, capture::read_camera_file(path));
-  PENUMBRA_TRY(calib::check_drawable(camera.projection, path));
-  return prt::PinholeView{camera.projection.width, camera.projection.height,
-                          camera.projection.focal_px, camera.projection.principal_px,
-                          camera.world_from_camera};
+  const calib::CameraModel& p = camera.projection;
+  if (!calib::has_intrinsics(p.kind))
+    return fail(ErrorCode::kInvalid, path,
+                "is a map of the whole sphere, and pictures are made through a lens only");
+  out.view = {p.width, p.height, p.focal_px, p.principal_px, camera.world_from_camera};
+  if (p.kind != calib::ProjectionKind::kPinhole || p.is_distorted()) out.lens = p;
+  return {};
 }
 
 }  // namespace
@@ -57,7 +59,8 @@ Result<void> render(const RenderOptions& o) {
   PENUMBRA_TRY(check_writable(o.output));
   PENUMBRA_ASSIGN(light, runtime::read_light(o.environment, o.orientation));
   PENUMBRA_ASSIGN(map, runtime::whole_latlong(light));
-  PENUMBRA_ASSIGN(view, read_view(o.camera));
+  StillScene in{.environment = &map, .seconds = o.time_s};
+  PENUMBRA_TRY(read_view(o.camera, in));
   PENUMBRA_ASSIGN(bands, choose_bands(o.bands, light.light));
   if (o.truncated_to && (*o.truncated_to < 1 || *o.truncated_to > kMaxBands))
     return fail(ErrorCode::kInvalid, "--light-bands", "is not within 1..9");
@@ -68,7 +71,7 @@ Result<void> render(const RenderOptions& o) {
     settings.rays = settings.ground_rays = 64, settings.bounces = 0, settings.visibility = false;
   PENUMBRA_ASSIGN(prepared, runtime::prepare(scene, settings, progress_bar));
 
-  const StillScene in{&prepared, &map, view, o.time_s};
+  in.scene = &prepared;
   std::size_t used_lights = 0;
   const auto draw = [&]() -> Result<Still> {
     if (o.reference) {
@@ -86,8 +89,8 @@ Result<void> render(const RenderOptions& o) {
   PENUMBRA_ASSIGN(still, draw());
   PENUMBRA_TRY(codec::write_hdr(o.output, still.radiance, codec::Depth::kFloat));
   if (o.json) {
-    print_json({{"width", view.width},
-                {"height", view.height},
+    print_json({{"width", in.view.width},
+                {"height", in.view.height},
                 {"bands", bands},
                 {"lights", used_lights},
                 {"reference", o.reference},
@@ -95,10 +98,10 @@ Result<void> render(const RenderOptions& o) {
                 {"samples_per_pixel", still.samples}});
   } else if (still.samples > 0) {
     fmt::print("{}: {}x{}, {} samples a pixel, estimated relative error {:.2f} %\n", o.output,
-               view.width, view.height, still.samples, 100 * still.error);
+               in.view.width, in.view.height, still.samples, 100 * still.error);
   } else {
-    fmt::print("{}: {}x{}, {} bands and {} lights\n", o.output, view.width, view.height, bands,
-               used_lights);
+    fmt::print("{}: {}x{}, {} bands and {} lights\n", o.output, in.view.width, in.view.height,
+               bands, used_lights);
   }
   return {};
 }

@@ -18,10 +18,16 @@ namespace penumbra::tools {
 
 namespace {
 
-glm::dvec3 ray_through(const prt::PinholeView& v, double px, double py) {
-  return glm::normalize(v.world_from_camera.rotation *
-                        glm::dvec3((px - v.principal_px.x) / v.focal_px.x,
-                                   -(py - v.principal_px.y) / v.focal_px.y, -1));
+// In the camera's frame; 0 where the picture shows nothing.
+glm::dvec3 ray_of(const calib::CameraModel& lens, glm::dvec2 px) {
+  return calib::direction_from_pixel(lens, px).value_or(glm::dvec3(0));
+}
+
+calib::CameraModel camera_of(const prt::PinholeView& view,
+                             const std::optional<calib::CameraModel>& lens) {
+  if (lens) return *lens;
+  return {calib::ProjectionKind::kPinhole, view.width, view.height, view.focal_px,
+          view.principal_px};
 }
 
 }  // namespace
@@ -52,12 +58,15 @@ Result<Still> render_real(const StillScene& in, double error, const Progress& pr
   Still out;
   out.radiance = Image<Rgb>(in.view.width, in.view.height);
   const glm::dvec3 eye = in.view.world_from_camera.translation;
+  const calib::CameraModel lens = camera_of(in.view, in.lens);
   parallel_for(0, in.view.height, [&](int y) {
     for (int x = 0; x < in.view.width; ++x) {
       Rgb sum;
       for (int k = 0; k < kSamples * kSamples; ++k) {
-        const glm::dvec3 d = ray_through(in.view, x + (k % kSamples + .5) / kSamples,
-                                         y + (double(k / kSamples) + .5) / kSamples);
+        const glm::dvec3 d = in.view.world_from_camera.rotation *
+                             ray_of(lens, {x + (k % kSamples + .5) / kSamples,
+                                           y + (double(k / kSamples) + .5) / kSamples});
+        if (d == glm::dvec3(0)) continue;
         double nearest = 1e30;
         std::size_t hit = exit_radiance.size();
         for (std::size_t i = 0; i < exit_radiance.size(); ++i) {
@@ -75,12 +84,12 @@ Result<Still> render_real(const StillScene& in, double error, const Progress& pr
 
 Result<Pipeline> make_still_pipeline(const runtime::PreparedScene& scene,
                                      const prt::PinholeView& view,
-                                     const runtime::ShadowSampling& sampling) {
+                                     const runtime::ShadowSampling& sampling,
+                                     const std::optional<calib::CameraModel>& lens) {
   capture::CameraInfo camera;
   camera.name = "camera";
   camera.role = capture::Role::kView;
-  camera.projection = {calib::ProjectionKind::kPinhole, view.width, view.height, view.focal_px,
-                       view.principal_px};
+  camera.projection = camera_of(view, lens);
   camera.world_from_camera = view.world_from_camera;
   PipelineOptions options;
   options.oversampling = 4;
@@ -116,7 +125,7 @@ Result<Still> composite_still(Pipeline& pipeline, const prt::PinholeView& view,
 
 Result<Still> render_composite(const StillScene& in, const lighting::LightEstimate& light,
                                const Still& real, const runtime::ShadowSampling& sampling) {
-  PENUMBRA_ASSIGN(pipeline, make_still_pipeline(*in.scene, in.view, sampling));
+  PENUMBRA_ASSIGN(pipeline, make_still_pipeline(*in.scene, in.view, sampling, in.lens));
   return composite_still(pipeline, in.view, light, real, in.seconds);
 }
 
@@ -146,6 +155,7 @@ Result<Still> render_reference(const StillScene& in, bool with_objects, double e
   prt::ReferenceOptions options;
   options.error = error;
   options.progress = progress;
+  if (in.lens) options.ray = [&lens = *in.lens](glm::dvec2 pixel) { return ray_of(lens, pixel); };
   PENUMBRA_ASSIGN(reference, prt::render_reference(world, in.view, options));
   return Still{std::move(reference.radiance), reference.error, reference.samples,
                std::move(reference.half_a), std::move(reference.half_b)};

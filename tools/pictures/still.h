@@ -24,8 +24,10 @@ struct Still {
 struct StillScene {
   const runtime::PreparedScene* scene = nullptr;
   const Image<Rgb>* environment = nullptr;  // lat-long
-  prt::PinholeView view;
+  prt::PinholeView view{};
   double seconds = 0;  // of what moves by itself or turns
+  // Instead of the view's pinhole, whose focal length then is the one near the axis
+  std::optional<calib::CameraModel> lens{};
 };
 
 using Progress = std::function<void(double)>;
@@ -41,7 +43,8 @@ Result<Still> render_real(const StillScene& in, double error, const Progress& pr
 /// errors: as Pipeline::create
 Result<Pipeline> make_still_pipeline(const runtime::PreparedScene& scene,
                                      const prt::PinholeView& view,
-                                     const runtime::ShadowSampling& sampling);
+                                     const runtime::ShadowSampling& sampling,
+                                     const std::optional<calib::CameraModel>& lens = {});
 /// The mean of four pictures a fraction of a pixel apart: edges get 64 samples a pixel.
 /// errors: as Pipeline::composite
 Result<Still> composite_still(Pipeline& pipeline, const prt::PinholeView& view,

@@ -1,0 +1,227 @@
+#include "compositor/layers/layer_programs.h"
+
+#include <algorithm>
+#include <cmath>
+#include <glm/gtc/type_ptr.hpp>
+#include <string>
+
+namespace penumbra::compositor {
+
+namespace {
+
+constexpr const char* kVersion = "#version 310 es\nprecision highp float;\n";
+
+// place_in_picture() of a vertex and, in fragments, is_shown().
+constexpr const char* kPinholeVertex = R"(
+uniform mat4 picture_from_points;
+vec4 place_in_picture(vec3 position) { return picture_from_points * vec4(position, 1); }
+)";
+constexpr const char* kWholeFragment = "bool is_shown() { return true; }\n";
+
+// Where a vertex lies, for fragments that may be cut.
+constexpr const char* kTellsNothing = "void tell_place(vec3 p) {}\n";
+constexpr const char* kTellsPlace = R"(
+out vec3 in_camera;
+void tell_place(vec3 p) { in_camera = p; }
+)";
+
+// As ViewLens::pixel. Clip w is the distance, which is positive all around the camera.
+constexpr const char* kLensVertex = R"(
+uniform mat4 picture_from_points;
+uniform highp sampler2D radius;
+uniform vec4 scale_and_offset;
+uniform vec3 decentring;
+uniform vec2 depth;
+vec4 place_in_picture(vec3 position) {
+  vec3 p = (picture_from_points * vec4(position, 1)).xyz;
+  tell_place(p);
+  float side = length(p.xy), w = length(p);
+  int last = textureSize(radius, 0).x - 1;
+  float at = side / max(side + w - p.z, 1e-20) * float(last);
+  int i = clamp(int(at), 0, last - 1);
+  float r = mix(texelFetch(radius, ivec2(i, 0), 0).r, texelFetch(radius, ivec2(i + 1, 0), 0).r,
+                at - float(i));
+  vec2 along = side > 0.0 ? vec2(p.x, -p.y) / side : vec2(1, 0);
+  vec2 q = along * r;
+  if (decentring.xy != vec2(0)) {
+    float tangent = p.z < 0.0 ? min(side / -p.z, decentring.z) : decentring.z;
+    vec2 u = along * tangent;
+    float rr = tangent * tangent, xy = 2.0 * u.x * u.y;
+    q += vec2(decentring.x * xy + decentring.y * (rr + 2.0 * u.x * u.x),
+              decentring.x * (rr + 2.0 * u.y * u.y) + decentring.y * xy);
+  }
+  return vec4((q * scale_and_offset.xy + scale_and_offset.zw) * w, depth.x * w + depth.y, w);
+}
+)";
+// A triangle around the axis behind the camera would otherwise cover the picture.
+constexpr const char* kCutFragment = R"(
+in vec3 in_camera;
+uniform float min_cosine;
+uniform vec4 planes[16];
+uniform int plane_count;
+bool is_shown() {
+  if (-in_camera.z < min_cosine * length(in_camera)) return false;
+  for (int i = 0; i < plane_count; ++i)
+    if (dot(planes[i], vec4(in_camera, 1)) < 0.0) return false;
+  return true;
+}
+)";
+
+constexpr const char* kObjectVertex = R"(
+layout(location = 0) in vec3 position;
+layout(location = 1) in vec3 radiance;
+uniform float signal_per_radiance;
+out vec3 signal;
+void main() {
+  signal = signal_per_radiance * radiance;
+  gl_Position = place_in_picture(position);
+})";
+
+// Back faces are black, as in the bake and in the reference.
+constexpr const char* kObjectFragment = R"(
+in vec3 signal;
+out vec4 colour;
+void main() {
+  if (!is_shown()) discard;
+  colour = vec4(gl_FrontFacing ? min(signal, 1000.0) : vec3(0), 1);
+}
+)";
+
+// With pictures of albedo, of light, or of both; what is not a picture is white, or comes by
+// vertex.
+constexpr const char* kTexturedVertex = R"(
+layout(location = 0) in vec3 position;
+layout(location = 1) in vec3 radiance;
+layout(location = 2) in vec2 albedo_place;
+layout(location = 3) in vec2 light_place;
+uniform float signal_per_radiance;
+out vec3 signal;
+out vec2 in_albedo, in_light;
+void main() {
+  signal = signal_per_radiance * radiance;
+  in_albedo = albedo_place;
+  in_light = light_place;
+  gl_Position = place_in_picture(position);
+})";
+constexpr const char* kTexturedFragment = R"(
+in vec3 signal;
+in vec2 in_albedo, in_light;
+uniform sampler2D albedo_map, light_map;
+out vec4 colour;
+void main() {
+  vec3 shown = signal * texture(albedo_map, in_albedo).rgb * texture(light_map, in_light).rgb;
+  if (!is_shown()) discard;
+  colour = vec4(gl_FrontFacing ? min(shown, 1000.0) : vec3(0), 1);
+}
+)";
+
+constexpr const char* kRealMeshVertex = R"(
+layout(location = 0) in vec3 position;
+layout(location = 1) in vec3 deficit;
+out vec3 loss;
+void main() {
+  loss = deficit;
+  gl_Position = place_in_picture(position);
+})";
+constexpr const char* kRealMeshFragment = R"(
+in vec3 loss;
+out vec4 colour;
+void main() {
+  if (!is_shown()) discard;
+  colour = vec4(loss, 1);
+}
+)";
+
+constexpr int kRadiusUnit = 2;  // beside the pictures of albedo and light
+
+GlTexture radius_texture(const ViewLens& lens) {
+  GlTexture texture;
+  const auto steps = static_cast<GLsizei>(lens.radius().size());
+  glBindTexture(GL_TEXTURE_2D, texture.get());
+  glTexStorage2D(GL_TEXTURE_2D, 1, GL_R32F, steps, 1);
+  glTexSubImage2D(GL_TEXTURE_2D, 0, 0, 0, steps, 1, GL_RED, GL_FLOAT, lens.radius().data());
+  glTexParameteri(GL_TEXTURE_2D, GL_TEXTURE_MIN_FILTER, GL_NEAREST);
+  glTexParameteri(GL_TEXTURE_2D, GL_TEXTURE_MAG_FILTER, GL_NEAREST);
+  return texture;
+}
+
+void set_lens(GLuint program, const ViewLens& lens, GLuint radius) {
+  const calib::CameraModel& m = lens.model();
+  const auto at = [&](const char* name) { return glGetUniformLocation(program, name); };
+  const auto set = [](double v) { return static_cast<float>(v); };
+  // Clip y grows downwards, as in clip_from_world_of.
+  glUniform4f(at("scale_and_offset"), set(2 * m.focal_px.x / m.width),
+              set(2 * m.focal_px.y / m.height), set(2 * m.principal_px.x / m.width - 1),
+              set(2 * m.principal_px.y / m.height - 1));
+  glUniform3f(at("decentring"), set(lens.decentring().x), set(lens.decentring().y),
+              set(lens.max_tangent()));
+  glUniform2f(at("depth"), set((kFarPlane + kNearPlane) / (kFarPlane - kNearPlane)),
+              set(2 * kFarPlane * kNearPlane / (kNearPlane - kFarPlane)));
+  glUniform1f(at("min_cosine"), set(std::cos(lens.max_angle_rad())));
+  glUniform1i(at("plane_count"), 0);
+  glActiveTexture(GL_TEXTURE0 + kRadiusUnit);
+  glBindTexture(GL_TEXTURE_2D, radius);
+  glActiveTexture(GL_TEXTURE0);
+  glUniform1i(at("radius"), kRadiusUnit);
+}
+
+}  // namespace
+
+Result<LayerPrograms::Programs> LayerPrograms::make(bool lens, bool cut) {
+  const std::string vertex = std::string(kVersion) + (cut ? kTellsPlace : kTellsNothing) +
+                             (lens ? kLensVertex : kPinholeVertex),
+                    fragment = std::string(kVersion) + (cut ? kCutFragment : kWholeFragment);
+  const auto one = [&](const char* v, const char* f) {
+    return make_program((vertex + v).c_str(), (fragment + f).c_str());
+  };
+  PENUMBRA_ASSIGN(object, one(kObjectVertex, kObjectFragment));
+  PENUMBRA_ASSIGN(textured, one(kTexturedVertex, kTexturedFragment));
+  PENUMBRA_ASSIGN(real_mesh, one(kRealMeshVertex, kRealMeshFragment));
+  return Programs{std::move(object), std::move(textured), std::move(real_mesh)};
+}
+
+Result<LayerPrograms> LayerPrograms::create() {
+  PENUMBRA_ASSIGN(pinhole, make(false, false));
+  return LayerPrograms(std::move(pinhole));
+}
+
+Result<void> LayerPrograms::prepare(const std::shared_ptr<const ViewLens>& lens) {
+  if (!lens || std::ranges::find(tables_, lens, &LensTable::lens) != tables_.end()) return {};
+  if (!lens_) {
+    PENUMBRA_ASSIGN(whole, make(true, false));
+    PENUMBRA_ASSIGN(cut, make(true, true));
+    lens_ = std::move(whole), cut_lens_ = std::move(cut);
+  }
+  tables_.push_back({lens, radius_texture(*lens)});
+  return {};
+}
+
+GLuint LayerPrograms::use(LayerDrawing drawing, const ViewProjection& from_points, bool cut) const {
+  const ViewLens* const lens = from_points.lens();
+  const GLuint program = (!lens ? pinhole_
+                          : cut ? *cut_lens_
+                                : *lens_)[static_cast<std::size_t>(drawing)]
+                             .get();
+  glUseProgram(program);
+  const glm::mat4 single(from_points.matrix());
+  glUniformMatrix4fv(glGetUniformLocation(program, "picture_from_points"), 1, GL_FALSE,
+                     glm::value_ptr(single));
+  if (lens) {
+    const auto table =
+        std::ranges::find_if(tables_, [&](const LensTable& t) { return t.lens.get() == lens; });
+    set_lens(program, *lens, table->radius.get());
+  }
+  return program;
+}
+
+void LayerPrograms::set_hiding_planes(GLuint program, std::span<const glm::dvec4> planes) const {
+  std::array<glm::vec4, kMaxPlanes> single{};
+  const std::size_t count = std::min(planes.size(), kMaxPlanes);
+  std::copy_n(planes.begin(), count, single.begin());
+  glUniform1i(glGetUniformLocation(program, "plane_count"), static_cast<GLint>(count));
+  if (count > 0)
+    glUniform4fv(glGetUniformLocation(program, "planes"), static_cast<GLsizei>(count),
+                 glm::value_ptr(single[0]));
+}
+
+}  // namespace penumbra::compositor

@@ -1,0 +1,53 @@
+// The programs that draw layers, through a pinhole or through a lens.
+// threads: thread-bound, to the one of the GL context
+#pragma once
+
+#include <array>
+#include <glm/vec4.hpp>
+#include <memory>
+#include <optional>
+#include <span>
+#include <utility>
+#include <vector>
+
+#include "compositor/layers/gl.h"
+#include "compositor/projection.h"
+#include "compositor/view_lens.h"
+
+namespace penumbra::compositor {
+
+class LayerPrograms {
+ public:
+  enum class LayerDrawing { kObject, kTexturedObject, kRealMesh };
+
+  static Result<LayerPrograms> create();
+
+  /// What drawing through this lens takes; null: a pinhole takes nothing more.
+  /// errors: kUnavailable
+  Result<void> prepare(const std::shared_ptr<const ViewLens>& lens);
+
+  /// Makes a program current for points of the projection's frame, whose lens is prepared.
+  /// cut: whether some may lie beside all that a lens shows, or behind hiding planes, which takes
+  /// longer; without a lens GL cuts by itself
+  GLuint use(LayerDrawing drawing, const ViewProjection& from_points, bool cut) const;
+
+  /// Planes in the camera's frame, n.p + d < 0 behind them: what a lens shows of objects ends
+  /// there, for a plane that is drawn itself would have to be bent. At most kMaxPlanes count.
+  static constexpr std::size_t kMaxPlanes = 16;
+  void set_hiding_planes(GLuint program, std::span<const glm::dvec4> planes) const;
+
+ private:
+  using Programs = std::array<GlProgram, 3>;  // by LayerDrawing
+  struct LensTable {
+    std::shared_ptr<const ViewLens> lens;
+    GlTexture radius{};
+  };
+  explicit LayerPrograms(Programs pinhole) : pinhole_(std::move(pinhole)) {}
+  static Result<Programs> make(bool lens, bool cut);
+
+  Programs pinhole_;
+  std::optional<Programs> lens_, cut_lens_;
+  std::vector<LensTable> tables_;  // one a camera
+};
+
+}  // namespace penumbra::compositor
