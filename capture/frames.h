@@ -84,6 +84,7 @@ struct Frame {
   std::shared_ptr<const std::vector<std::byte>> jpeg{};
   // Taken darker than the camera's others, for what those overexpose: measured, never shown
   bool for_light = false;
+  float opacity = 1;  // of what is virtual, 0..1: below 1 while its pose is old
 };
 
 int width(const FramePixels& pixels);

@@ -93,7 +93,9 @@ inline nlohmann::json to_json(const lighting::LightEstimate& e) {
 
 /// By the queue in which they waited.
 inline nlohmann::json to_json(const OvertakenFrames& frames) {
-  return {{"view", frames.view}, {"environment", frames.environment}};
+  return {{"view", frames.view},
+          {"environment", frames.environment},
+          {"unmatched_eyes", frames.unmatched_eyes}};
 }
 
 inline nlohmann::json to_json(const StageTimes& times) {

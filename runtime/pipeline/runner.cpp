@@ -19,6 +19,7 @@
 #include "lighting/saturation_recovery.h"
 #include "runtime/pipeline/internal/frame_budget.h"
 #include "runtime/pipeline/internal/frame_mailbox.h"
+#include "runtime/pipeline/internal/view_mailbox.h"
 #include "runtime/pipeline/light_estimation_stage.h"
 #include "runtime/shading/composite_stage.h"
 
@@ -178,8 +179,12 @@ namespace {
 
 // What the threads of a live run share. Every queue closes when anyone stops.
 struct Live {
+  explicit Live(const capture::FrameSource& source)
+      : view(source.cameras(), Seconds(source.view_rate() > 0 ? 1 / source.view_rate() : 0)) {}
+
   FrameMailbox environment;
-  Latest<capture::Frame> view, for_light;
+  ViewMailbox view;
+  Latest<capture::Frame> for_light;
   Latest<lighting::LightEstimate> light;
   Latest<std::vector<lighting::SaturationRecovery>> recoveries;
   std::atomic<int> affordable_lights = std::numeric_limits<int>::max();
@@ -187,7 +192,9 @@ struct Live {
   std::optional<Error> error, last_unusable;  // guarded by mutex
   std::uint64_t unusable = 0;                 // guarded by mutex
 
-  OvertakenFrames overtaken() const { return {view.dropped(), environment.dropped()}; }
+  OvertakenFrames overtaken() const {
+    return {view.dropped(), environment.dropped(), view.unmatched()};
+  }
   void close() {
     environment.close();
     view.close();
@@ -304,8 +311,10 @@ class LiveFrames {
   /// The last add() took so long, without the sink.
   double busy_ms() const { return busy_ms_; }
 
+  /// scene_time: of what moves; that of the first eye for both
+  /// more: another frame waits already
   Result<void> add(const capture::Frame& frame, const lighting::LightEstimate& light,
-                   const Latest<capture::Frame>& coming) {
+                   TimestampNs scene_time, bool more) {
     const Stopwatch watch;
     in_sink_ms_ = busy_ms_ = 0;
     if (!light.valid) {
@@ -321,12 +330,12 @@ class LiveFrames {
     now.light = light;
     // The loops in there must not take up the other frame's end, which what is traced live would
     // count as its own time.
-    const auto begun = isolate([&] { return compose_->draw(frame, light, now.begun); });
+    const auto begun = isolate([&] { return compose_->draw(frame, light, scene_time, now.begun); });
     finish_last();
     if (!begun) return begun;
     if (!go_on_) return {};
     ++counts_.frames;
-    if (coming.waiting()) {
+    if (more) {
       last_ = &now;
       aside_.run([&now] { now.done = now.begun.finish(); });
     } else {
@@ -384,7 +393,7 @@ void update_frame_budget(FrameBudget& budget, double busy_ms, const lighting::Li
 Result<RunCounts> run_live(capture::FrameSource& source, LightEstimationStage& light,
                            CompositeStage& compose, const Sink& sink, StageTimes& times,
                            const std::atomic<bool>& stop, const LiveChanges& changes) {
-  Live live;
+  Live live(source);
   RunCounts counts;
   Result<void> composed;
   LiveFrames frames(compose, sink, counts);
@@ -410,8 +419,8 @@ Result<RunCounts> run_live(capture::FrameSource& source, LightEstimationStage& l
     };
     while (frames.go_on() && !stop) {
       if (changes.turn) changes.turn();
-      auto frame = live.view.wait(Seconds(.5));
-      if (!frame) {
+      const std::vector<capture::Frame> eyes = live.view.wait(Seconds(.5));
+      if (eyes.empty()) {
         if (live.view.closed()) break;
         continue;
       }
@@ -422,10 +431,13 @@ Result<RunCounts> run_live(capture::FrameSource& source, LightEstimationStage& l
       }
       if (auto newer = live.light.take()) estimate = std::move(*newer);
       if (const auto darker = live.for_light.take()) recover(*darker);
-      recover(*frame);
-      composed = frames.add(*frame, estimate, live.view);
+      for (std::size_t i = 0; i < eyes.size() && composed && frames.go_on(); ++i) {
+        recover(eyes[i]);
+        composed =
+            frames.add(eyes[i], estimate, eyes[0].time, i + 1 < eyes.size() || live.view.waiting());
+        if (composed) update_frame_budget(budget, frames.busy_ms(), estimate, live);
+      }
       if (!composed) break;
-      update_frame_budget(budget, frames.busy_ms(), estimate, live);
     }
     if (composed) frames.finish_last();
   }

@@ -18,6 +18,8 @@ namespace penumbra::runtime {
 struct OvertakenFrames {
   std::uint64_t view = 0;         // while another one was composited
   std::uint64_t environment = 0;  // while the light was measured
+  // Eyes whose other one did not come; some were shown alone
+  std::uint64_t unmatched_eyes = 0;
   std::uint64_t all() const { return view + environment; }
 };
 

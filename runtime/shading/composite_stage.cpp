@@ -504,6 +504,39 @@ Result<void> CompositeStage::add_camera(const capture::CameraInfo& info) {
   return {};
 }
 
+namespace {
+
+// Between what the camera saw and the composited picture, in codes: nobody looks long enough at a
+// fade to tell how even it is.
+template <class Pixel>
+void fade_rows(const Image<Pixel>& camera, float opacity, Image<Pixel>& out) {
+  using Code = decltype(Pixel::r);
+  constexpr float kRound = std::is_integral_v<Code> ? .5f : 0;
+  const auto mix = [&](Code from, Code to) {
+    const float a = static_cast<float>(from);
+    return static_cast<Code>(a + opacity * (static_cast<float>(to) - a) + kRound);
+  };
+  parallel_for(0, out.height(), 16, [&](const auto& rows) {
+    for (int y = rows.begin(); y < rows.end(); ++y)
+      for (int x = 0; x < out.width(); ++x) {
+        const Pixel &from = camera.at(x, y), &to = out.at(x, y);
+        if (from == to) continue;
+        out.at(x, y) = {mix(from.r, to.r), mix(from.g, to.g), mix(from.b, to.b)};
+      }
+  });
+}
+
+void fade(const FramePixels& camera, float opacity, FramePixels& out) {
+  if (opacity >= 1) return;
+  std::visit(
+      [&]<class Pixel>(Image<Pixel>& pixels) {
+        fade_rows(std::get<Image<Pixel>>(camera), std::max(opacity, 0.f), pixels);
+      },
+      out);
+}
+
+}  // namespace
+
 compositor::View CompositeStage::view_of(const capture::Frame& frame) {
   ViewCamera& camera = views_[static_cast<std::size_t>(frame.camera)];
   const calib::CameraModel& p = camera.info.projection;
@@ -523,14 +556,16 @@ Result<void> CompositeStage::process(const capture::Frame& frame,
   PENUMBRA_ASSIGN(touched, compositor_->composite(view_of(frame), *frame.pixels, out.pixels));
   out.touched = touched;
   out.relit = relit;
+  fade(*frame.pixels, frame.opacity, out.pixels);
   return {};
 }
 
 Result<void> CompositeStage::draw(const capture::Frame& frame, const lighting::LightEstimate& light,
-                                  PendingFrame& out) {
-  out.relit_ = shade(light, (frame.time - TimestampNs{0}).count());
+                                  TimestampNs scene_time, PendingFrame& out) {
+  out.relit_ = shade(light, (scene_time - TimestampNs{0}).count());
   const Stopwatch watch;
   out.camera_ = frame.pixels;
+  out.opacity_ = frame.opacity;
   out.times_ = &times_;
   PENUMBRA_TRY(compositor_->draw(view_of(frame), *frame.pixels, out.drawn_));
   out.drawing_ms_ = watch.ms();
@@ -542,8 +577,9 @@ Composited PendingFrame::finish() {
   Composited out;
   out.relit = relit_;
   out.pixels = *camera_;
-  camera_.reset();
   out.touched = drawn_.composite_into(out.pixels);
+  fade(*camera_, opacity_, out.pixels);
+  camera_.reset();
   times_->add("composite", drawing_ms_ + watch.ms());
   return out;
 }

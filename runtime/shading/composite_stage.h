@@ -52,6 +52,7 @@ class PendingFrame {
   compositor::Drawn drawn_;
   std::shared_ptr<const FramePixels> camera_;
   bool relit_ = false;
+  float opacity_ = 1;
   double drawing_ms_ = 0;
   StageTimes* times_ = nullptr;
 };
@@ -78,7 +79,7 @@ using AskForDarker = std::function<bool(double factor)>;
 /// View frames and light in, composited frames out.
 class CompositeStage {
  public:
-  /// errors: kInvalid (no view camera, view cameras of different sizes, not a pinhole),
+  /// errors: kInvalid (no view camera, view cameras of different sizes, as ViewLens::create),
   ///         kUnavailable
   static Result<std::unique_ptr<CompositeStage>> create(
       const std::vector<capture::CameraInfo>& cameras, const PreparedScene& scene,
@@ -100,8 +101,9 @@ class CompositeStage {
     return out;
   }
   /// process() but for what needs the stage no more. The stage must outlive the frame.
+  /// scene_time: of what moves; both eyes of one moment have the same
   Result<void> draw(const capture::Frame& frame, const lighting::LightEstimate& light,
-                    PendingFrame& out);
+                    TimestampNs scene_time, PendingFrame& out);
   compositor::Compositor& output() { return *compositor_; }
   /// From then on another thread may use it, the only one then.
   void release() { compositor_->release(); }

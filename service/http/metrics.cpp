@@ -59,6 +59,9 @@ void add_frames(const PublishedState::Snapshot& s, Metrics& m) {
   m.begin("penumbra_frames_overtaken_total", "counter", "Frames that newer ones overtook.");
   m.add(static_cast<double>(s.overtaken.view), "queue=\"view\"");
   m.add(static_cast<double>(s.overtaken.environment), "queue=\"environment\"");
+  m.begin("penumbra_eyes_unmatched_total", "counter",
+          "Eyes of a stereo rig whose other one did not come.");
+  m.add(static_cast<double>(s.overtaken.unmatched_eyes));
   m.gauge("penumbra_frame_rate_hertz", "View frames a second over two seconds.", s.frame_rate_hz);
   m.gauge("penumbra_source_frame_rate_hertz", "View frames a second that the source sends.",
           s.view_rate_hz);

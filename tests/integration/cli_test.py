@@ -27,7 +27,7 @@ class DemoAndComposite(CliTest):
     def check_summary(self, summary):
         self.assertLessEqual(SUMMARY_KEYS, set(summary))
         self.assertEqual(summary["frames"], 6)
-        self.assertEqual(summary["dropped"], {"view": 0, "environment": 0})
+        self.assertEqual(summary["dropped"], {"view": 0, "environment": 0, "unmatched_eyes": 0})
         self.assertEqual(summary["configuration"]["coverage"], 1)
         self.assertTrue(0 < summary["touched_fraction"] < 1)
         self.assertTrue(summary["stages"])
