@@ -12,6 +12,7 @@ find_package(meshoptimizer REQUIRED)
 find_package(CLI11 REQUIRED)
 find_package(tomlplusplus REQUIRED)
 find_package(nlohmann_json REQUIRED)
+find_package(yaml-cpp REQUIRED)
 find_package(spdlog REQUIRED)
 find_package(OpenCV REQUIRED COMPONENTS core imgproc imgcodecs photo features2d calib3d aruco mcc)
 find_package(Ceres REQUIRED)
@@ -27,7 +28,7 @@ set_property(TARGET PkgConfig::PipeWire PROPERTY INTERFACE_COMPILE_OPTIONS)
 pkg_check_modules(GLES REQUIRED IMPORTED_TARGET egl glesv2)
 # With the definitions that the library was built with: without them its Client is larger than its header says.
 pkg_check_modules(Httplib REQUIRED IMPORTED_TARGET cpp-httplib)
-# The light layer of OpenXR, which the demo does not need.
+# The light layer of OpenXR and the headset, which the demo does not need.
 pkg_check_modules(OpenXR IMPORTED_TARGET openxr)
 if(PENUMBRA_WINDOW)
   find_package(glfw3 3.3)

@@ -9,6 +9,7 @@ install(DIRECTORY ${penumbra_header_rooms}
         # What rooms of one folder share among themselves: none of it can be seen in the shared
         # library.
         PATTERN sh_inpainting.h EXCLUDE PATTERN latlong_kernel.h EXCLUDE
+        PATTERN calib/import EXCLUDE
         PATTERN capture/watch EXCLUDE PATTERN contradiction.h EXCLUDE
         PATTERN compositor/layers EXCLUDE PATTERN compositor/pixels EXCLUDE
         PATTERN compositor/projection.h EXCLUDE

@@ -117,7 +117,8 @@ MENTIONED = {
         "calibrate": " + ".join(f"tools/calibrate/command_{place}" for place in (
             "calibrate.cpp: json to_json(", 'calibrate.cpp: print_json({{"pictures"',
             "vignetting.cpp: print_json(", "ball.cpp: {{\"centre_m\"", "noise.cpp: json to_json(",
-            "rig.cpp: json to_json(", "colour.cpp: print_json(")),
+            "rig.cpp: json to_json(", "colour.cpp: print_json(",
+            "import.cpp: json to_json(")),
         "record": f"{RECORD} > push_back(",
         "bake": CLIP + ': print_json({{"shard"',
         "hdr merge and hdr environment": f"{ENVIRONMENT}: views.push_back(",

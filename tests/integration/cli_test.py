@@ -708,6 +708,21 @@ class Calibrate(CliTest):
         self.expect_refusal(["no camera"], "calibrate", "camera", "--capture", rig, "--camera", "d", "--board",
                             "chessboard:15x9:0.026", "-o", out)
 
+    def test_calibrations_of_others_become_files_that_are_read(self):
+        seeds = pathlib.Path(__file__).resolve().parents[1] / "fuzz/corpus/import"
+        lens, pose = self.root / "left.toml", self.root / "pose.toml"
+        printed = self.run_json("calibrate", "import", seeds / "index.json", "--camera", "left", "-o", lens,
+                                "--pose", pose)
+        self.assertEqual((printed["format"], printed["body"]), ("Valve Index config", "head"))
+        read = self.run_json("inspect", lens)
+        for key in ("name", "projection", "width", "height"):
+            self.assertEqual(read[key], printed[key])
+        self.run_well("inspect", pose)
+        again = self.root / "out" / "again.toml"
+        self.expect_refusal(["index.json", "left, right"], "calibrate", "import", seeds / "index.json", "-o", again)
+        self.expect_refusal(["ros.yaml", "where its cameras are"], "calibrate", "import", seeds / "ros.yaml", "-o",
+                            again, "--pose", self.root / "out" / "none.toml")
+
     def test_response_of_a_bracket_is_one_that_the_merge_reads(self):
         times = [1 / 64, 1 / 16, 1 / 4]
         pictures = []

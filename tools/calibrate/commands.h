@@ -18,5 +18,6 @@ void add_calibrate_ball(CLI::App& parent, Action& action);
 void add_calibrate_noise(CLI::App& parent, Action& action);
 void add_calibrate_rig(CLI::App& parent, Action& action);
 void add_calibrate_colour(CLI::App& parent, Action& action);
+void add_calibrate_import(CLI::App& parent, Action& action);
 
 }  // namespace penumbra::tools

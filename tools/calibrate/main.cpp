@@ -13,5 +13,6 @@ int main(int argc, char** argv) {
                        add_calibrate_noise(app, action);
                        add_calibrate_rig(app, action);
                        add_calibrate_colour(app, action);
+                       add_calibrate_import(app, action);
                      });
 }

@@ -1,0 +1,21 @@
+#include "calib/import/camera_presets.h"
+
+#include <array>
+
+namespace penumbra::calib {
+
+namespace {
+
+constexpr std::array kCameraPresets = {
+    CameraPreset{"3D Camera", "Valve Index", 1920, 960, "YUYV", 54, true,
+                 "config/lighthouse/SERIAL/config.json in Steam's folder"}};
+
+}  // namespace
+
+std::optional<CameraPreset> find_camera_preset(std::string_view usb_name) {
+  for (const CameraPreset& one : kCameraPresets)
+    if (usb_name.starts_with(one.usb_name)) return one;
+  return std::nullopt;
+}
+
+}  // namespace penumbra::calib
