@@ -8,6 +8,7 @@
 #include "calib/camera/lens_vignetting.h"           // IWYU pragma: export
 #include "calib/camera/mirror_ball.h"               // IWYU pragma: export
 #include "calib/camera/noise.h"                     // IWYU pragma: export
+#include "calib/camera/pose_file.h"                 // IWYU pragma: export
 #include "calib/camera/projection_table.h"          // IWYU pragma: export
 #include "calib/camera/response.h"                  // IWYU pragma: export
 #include "calib/estimate/boards.h"                  // IWYU pragma: export

@@ -147,13 +147,39 @@ Result<void> read_http(const TomlKeys& keys, const toml::table& table, const fs:
   return {};
 }
 
+Result<void> read_headset(const TomlKeys& keys, HeadsetOptions& out) {
+  constexpr double kFarthest_m = 10'000;
+  if (keys.has("application")) {
+    PENUMBRA_ASSIGN(name, keys.text("application"));
+    out.application = name;
+  }
+  PENUMBRA_TRY(read_number(keys, "near_m", 0, kFarthest_m, out.near_m));
+  PENUMBRA_TRY(read_number(keys, "far_m", 0, kFarthest_m, out.far_m));
+  PENUMBRA_TRY(read_number(keys, "picture_distance_m", 0, kFarthest_m, out.picture_distance_m));
+  if (keys.has("floor_height_m")) {
+    double height = 0;
+    PENUMBRA_TRY(read_number(keys, "floor_height_m", -100, 100, height));
+    out.floor_height_m = height;
+  }
+  return {};
+}
+
+Result<void> read_pose(const fs::path& path, const TomlKeys& root, RigConfig& c) {
+  PENUMBRA_ASSIGN(keys, root.table("pose"));
+  if (c.source == "studio")
+    return keys.invalid("source", "is for cameras and captures: the studio's cameras stand");
+  PENUMBRA_ASSIGN(pose, read_pose_config(path, keys));
+  c.pose = pose;
+  return {};
+}
+
 }  // namespace
 
 Result<RigConfig> read_rig_config(const fs::path& path, bool to_composite) {
   PENUMBRA_ASSIGN(root, parse_toml(path));
   const TomlKeys keys(path, root);
-  constexpr std::string_view known[] = {"version", "capture", "camera", "scene",
-                                        "light",   "http",    "output"};
+  constexpr std::string_view known[] = {"version", "capture", "camera", "scene",  "light",
+                                        "http",    "output",  "pose",   "headset"};
   PENUMBRA_TRY(keys.only(known));
   PENUMBRA_TRY(keys.version(1));
   const fs::path folder = path.parent_path();
@@ -168,8 +194,10 @@ Result<RigConfig> read_rig_config(const fs::path& path, bool to_composite) {
                                              "stale_after_s"};
   constexpr std::string_view http_keys[] = {"socket", "socket_group", "address",
                                             "port",   "token_file",   "origins"};
-  constexpr std::string_view output_keys[] = {"recordings", "light_page", "pipewire", "v4l2",
-                                              "y4m"};
+  constexpr std::string_view output_keys[] = {"recordings", "light_page", "pipewire",
+                                              "v4l2",       "y4m",        "openxr"};
+  constexpr std::string_view headset_keys[] = {"application", "picture_distance_m",
+                                               "floor_height_m", "near_m", "far_m"};
   const auto capture = [&](const TomlKeys& k) { return read_capture(k, folder, c); };
   const auto scene = [&](const TomlKeys& k) { return read_path(k, "file", folder, c.scene); };
   const auto light = [&](const TomlKeys& k) -> Result<void> {
@@ -195,6 +223,10 @@ Result<RigConfig> read_rig_config(const fs::path& path, bool to_composite) {
       *to = text;
     }
     if (!c.y4m.empty() && c.y4m != "-") c.y4m = resolve(c.y4m, folder);
+    if (k.has("openxr")) {
+      PENUMBRA_ASSIGN(openxr, k.flag("openxr"));
+      c.openxr = openxr;
+    }
     return {};
   };
   PENUMBRA_TRY(Section(path, root, keys, "capture").read(capture_keys, capture));
@@ -202,6 +234,10 @@ Result<RigConfig> read_rig_config(const fs::path& path, bool to_composite) {
   PENUMBRA_TRY(Section(path, root, keys, "light").read(light_keys, light));
   PENUMBRA_TRY(Section(path, root, keys, "http").read(http_keys, http));
   PENUMBRA_TRY(Section(path, root, keys, "output").read(output_keys, output));
+  PENUMBRA_TRY(Section(path, root, keys, "headset").read(headset_keys, [&](const TomlKeys& k) {
+    return read_headset(k, c.headset);
+  }));
+  if (keys.has("pose")) PENUMBRA_TRY(read_pose(path, keys, c));
   if (!to_composite) c.scene.reset();
   if (to_composite && c.source != "studio" && !c.scene)
     return fail(ErrorCode::kInvalid, path.string(),

@@ -9,6 +9,8 @@
 
 #include "capture/device/rig.h"
 #include "core/result.h"
+#include "service/headset/headset.h"
+#include "service/poses/pose_config.h"
 
 namespace penumbra::service {
 
@@ -33,6 +35,9 @@ struct RigConfig {
   std::vector<std::string> origins;  // whose pages may read and change
   std::filesystem::path recordings;  // folder of recordings and snapshots
   std::string pipewire, v4l2, y4m;   // where the picture goes; empty: not there
+  bool openxr = false;               // and into a headset
+  HeadsetOptions headset{};
+  std::optional<PoseConfig> pose;  // nothing: the cameras stand
 };
 
 /// errors: kNotFound, kUnreadable, kInvalid (file, line, key; an address that is not loopback,

@@ -47,7 +47,8 @@ class LoopingCapture : public capture::FrameSource {
 
 }  // namespace
 
-Result<RigSource> open_rig(const RigConfig& c, const ProgressOf& progress) {
+Result<RigSource> open_rig(const RigConfig& c, const ProgressOf& progress,
+                           std::unique_ptr<capture::PoseSource> head) {
   RigSource rig;
   if (c.source == "studio") {
     const runtime::StudioRequest request{.environment = c.environment,
@@ -67,6 +68,11 @@ Result<RigSource> open_rig(const RigConfig& c, const ProgressOf& progress) {
   } else {
     PENUMBRA_ASSIGN(source, LoopingCapture::open(c.source));
     rig.source = std::move(source);
+  }
+  if (c.pose) {
+    PENUMBRA_ASSIGN(posed, with_poses(std::move(rig.source), *c.pose, std::move(head)));
+    rig.posed = posed.get();
+    rig.source = std::move(posed);
   }
   if (c.scene) {
     PENUMBRA_ASSIGN(scene, runtime::read_scene(*c.scene));

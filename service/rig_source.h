@@ -7,6 +7,7 @@
 #include <string>
 
 #include "capture/frames.h"
+#include "capture/poses/posed_source.h"
 #include "core/result.h"
 #include "runtime/scene/scene.h"
 #include "service/rig_config.h"
@@ -16,10 +17,13 @@ namespace penumbra::service {
 
 struct RigSource {
   std::unique_ptr<capture::FrameSource> source;
-  runtime::Scene scene;  // the configuration's, else the studio's own
+  const capture::PosedSource* posed = nullptr;  // the same, where cameras move
+  runtime::Scene scene;                         // the configuration's, else the studio's own
 };
 
-/// errors: as capture::Rig::open, capture::open_capture, set_up_studio, read_scene
-Result<RigSource> open_rig(const RigConfig& config, const ProgressOf& progress);
+/// head: the poses of a headset, for a rig that asks for them
+/// errors: as capture::Rig::open, capture::open_capture, set_up_studio, read_scene, with_poses
+Result<RigSource> open_rig(const RigConfig& config, const ProgressOf& progress,
+                           std::unique_ptr<capture::PoseSource> head = nullptr);
 
 }  // namespace penumbra::service

@@ -17,6 +17,8 @@
 #include "core/io/log.h"
 #include "core/threads/stop_signal.h"
 #include "runtime/pipeline/pipeline.h"
+#include "service/head_poses.h"
+#include "service/headset/headset.h"
 #include "service/http/http_api.h"
 #include "service/http/published_state.h"
 #include "service/light_page.h"
@@ -132,6 +134,8 @@ class Service {
   void reload();
   void publish(const runtime::Output& out, const capture::FrameSource& source,
                const Pipeline& pipeline);
+  void publish_pose(const capture::Frame& frame);
+  void show_in_headset(const runtime::Output& out, const capture::FrameSource& source);
 
   const RigConfig& config_;
   PublishedState state_;
@@ -142,6 +146,7 @@ class Service {
   std::unique_ptr<HttpApi> tcp_, socket_;
   std::unique_ptr<LightPage> page_;
   std::vector<std::unique_ptr<FrameOutput>> outputs_;
+  std::shared_ptr<Headset> headset_;
   RigSource rig_;
   std::mutex scenes_mutex_;
   runtime::Scene shown_;      // what the pipeline was last given; guarded by scenes_mutex_
@@ -175,6 +180,8 @@ void Service::publish(const runtime::Output& out, const capture::FrameSource& so
   state_.publish(out.light, out.source.time, out.pixels, out.overtaken);
   state_.publish_cameras(source.cameras(), source.counts());
   if (page_) page_->write(pipeline.objects(), out.source.time);
+  publish_pose(out.source);
+  if (config_.openxr) show_in_headset(out, source);
   if (outputs_.empty()) return;
   std::vector<PublishedState::OutputState> states;
   for (const auto& output : outputs_) {
@@ -183,6 +190,34 @@ void Service::publish(const runtime::Output& out, const capture::FrameSource& so
     states.push_back({output->name(), counts.shown, counts.overtaken, output->trouble()});
   }
   state_.publish_outputs(std::move(states));
+}
+
+void Service::publish_pose(const capture::Frame& frame) {
+  if (!rig_.posed) return;
+  const capture::PoseSourceState now = rig_.posed->pose_state();
+  PublishedState::PoseState state{
+      now.name, {}, now.taken, now.refused, rig_.posed->left_out(), frame.opacity, now.trouble};
+  if (now.age) state.age_s = now.age->count();
+  state_.publish_pose(std::move(state));
+}
+
+// With one view camera both eyes see its picture.
+void Service::show_in_headset(const runtime::Output& out, const capture::FrameSource& source) {
+  const capture::CameraInfo& camera = source.cameras()[static_cast<std::size_t>(out.source.camera)];
+  const int eye = camera.eye == "left" ? 0 : camera.eye == "right" ? 1 : -1;
+  headset_->show(eye, {.pixels = out.pixels,
+                       .camera = camera.projection,
+                       .world_from_camera = out.source.world_from_camera,
+                       .captured = out.source.time,
+                       .lit = out.light.valid ? std::optional(out.light.time) : std::nullopt,
+                       .composited = TimestampNs{now_ns()}});
+  const HeadsetState now = headset_->state();
+  const char* const phase = now.phase == HeadsetPhase::kRunning ? "running"
+                            : now.phase == HeadsetPhase::kIdle  ? "idle"
+                                                                : "lost";
+  state_.publish_headset({phase, now.runtime, now.headset, now.rate_hz, now.shown, now.overtaken,
+                          now.unmatched, now.unplaced, now.refused, now.restarts, now.trouble,
+                          now.latency});
 }
 
 Result<void> Service::listen() {
@@ -291,7 +326,7 @@ void Service::end_at_once(const std::optional<Error>& failed) {
     log_warning("{}: {}: the service ends", failed->where, failed->detail);
   else
     log_info("stopped while objects were baked");
-  page_.reset(), socket_.reset(), tcp_.reset();
+  page_.reset(), socket_.reset(), tcp_.reset(), headset_.reset();
   std::_Exit(failed ? 2 : 0);
 }
 
@@ -300,7 +335,13 @@ Result<void> Service::run() {
   // "starting".
   PENUMBRA_TRY(listen());
   const std::atomic<bool>& stop = catch_stop_signals();
-  PENUMBRA_ASSIGN(rig, open_rig(config_, progress_));
+  const bool follows_head = config_.pose && config_.pose->source == "openxr";
+  if (config_.openxr || follows_head) {
+    PENUMBRA_ASSIGN(headset, Headset::create(config_.headset));
+    headset_ = std::move(headset);
+  }
+  PENUMBRA_ASSIGN(rig, open_rig(config_, progress_,
+                                follows_head ? std::make_unique<HeadPoses>(headset_) : nullptr));
   rig_ = std::move(rig);
   scene_now_ = shown_ = rig_.scene;
   PENUMBRA_TRY(Pipeline::check(rig_.source->cameras()));

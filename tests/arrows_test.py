@@ -15,8 +15,8 @@ import sys
 from pathlib import Path
 
 # From the bottom to the top.
-ROOMS = """core core/threads core/io codec calib/camera calib/import calib/estimate
-capture capture/hdr capture/watch capture/ring capture/environment capture/studio
+ROOMS = """core core/threads core/io codec calib/camera calib/import calib/estimate calib/track
+capture capture/poses capture/hdr capture/watch capture/ring capture/environment capture/studio
 capture/recording capture/device lighting/sh lighting/lights lighting
 prt/geometry prt/rays prt/transfer prt/bake prt/clip prt/reference
 shadows/silhouette shadows/field shadows/visibility
@@ -24,7 +24,7 @@ compositor compositor/layers compositor/pixels compositor/composite
 runtime/scene runtime/surroundings runtime/direct runtime/shading
 runtime/governor runtime/pipeline runtime/studio
 service/client service/openxr service/scene service/recording service/outputs service/headset
-service/http service
+service/poses service/http service
 tools/common tools/plots tools/runs tools/pictures tools/demo tools/penumbrad tools/penumbra tools/calibrate
 tools/chart/measures tools/chart/governor tools/chart/benches tools/chart/peers tools/chart""".split()
 # All public headers of a room, for programs and tests; the library itself includes what it needs.

@@ -63,6 +63,11 @@ TABLES = {
         "The HTTP interface: `[http]`": [f"{RIG} > http_keys[]"],
         "What goes out: `[output]`": [f"{RIG} > output_keys[]"],
         "Cameras: `[[camera]]`": ["capture/device/rig_file.cpp: kDeviceKeys[]"]},
+    "poses.md": {
+        "Live poses": ["service/poses/pose_config.cpp: read_pose_config( > pose_keys[]"],
+        "Boards": ["service/poses/pose_config.cpp: read_board( > board_keys[]"]},
+    "headset.md": {
+        "Headset": [f"{RIG} > headset_keys[]"]},
     "capture-folder.md": {
         "The file": [f"{MANIFEST}: read_manifest( > known[]"],
         "Cameras: `[[camera]]`": [f"{CAMERA}.h: kCameraKeys"],

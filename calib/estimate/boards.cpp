@@ -84,6 +84,7 @@ void find_charuco(const cv::Mat& grey, const Board& board, BoardView& view) {
   const auto charuco =
       cv::aruco::CharucoBoard::create(board.columns, board.rows, static_cast<float>(board.square_m),
                                       static_cast<float>(board.marker_m), dictionary);
+  for (int& id : charuco->ids) id += board.first_id;
   std::vector<int> ids, corner_ids;
   std::vector<std::vector<cv::Point2f>> markers;
   cv::aruco::detectMarkers(grey, dictionary, markers, ids);
@@ -107,8 +108,9 @@ void find_apriltags(const cv::Mat& grey, const Board& board, BoardView& view) {
   cv::aruco::detectMarkers(grey, dictionary, markers, ids, parameters);
   constexpr glm::dvec2 kCorners[] = {{0, 0}, {1, 0}, {1, 1}, {0, 1}};
   for (std::size_t i = 0; i < ids.size(); ++i) {
-    if (ids[i] >= board.columns * board.rows) continue;
-    const glm::dvec2 tag(ids[i] % board.columns, ids[i] / board.columns);
+    const int nth = ids[i] - board.first_id;
+    if (nth < 0 || nth >= board.columns * board.rows) continue;
+    const glm::dvec2 tag(nth % board.columns, nth / board.columns);
     for (std::size_t c = 0; c < 4; ++c) {
       view.pixels.push_back(from_centre(markers[i][c]));
       view.on_board_m.push_back(tag * (board.square_m + board.marker_m) +
@@ -117,7 +119,32 @@ void find_apriltags(const cv::Mat& grey, const Board& board, BoardView& view) {
   }
 }
 
+// Within the dictionary: 50 markers of 4x4_50, 587 of 36h11.
+Result<void> set_first_id(std::string_view part, std::string_view text, Board& board) {
+  const int known = board.kind == Board::Kind::kCharuco ? 50 : 587;
+  const auto id = to_number(part);
+  if (id && *id == std::floor(*id) && *id >= 0 && *id + marker_count(board) <= known) {
+    board.first_id = static_cast<int>(*id);
+    return {};
+  }
+  return fail(ErrorCode::kInvalid, "board \"" + std::string(text) + "\"",
+              fmt::format("needs {} markers, of which its dictionary has {}: the first id is not a "
+                          "whole number within 0..{}",
+                          marker_count(board), known, known - marker_count(board)));
+}
+
 }  // namespace
+
+int marker_count(const Board& board) {
+  switch (board.kind) {
+    case Board::Kind::kCharuco:
+      return board.columns * board.rows / 2;
+    case Board::Kind::kAprilTag:
+      return board.columns * board.rows;
+    default:
+      return 0;
+  }
+}
 
 Result<Board> parse_board(std::string_view text) {
   const auto invalid = [&](std::string detail) {
@@ -125,7 +152,8 @@ Result<Board> parse_board(std::string_view text) {
   };
   constexpr std::string_view usage =
       "expected chessboard:COLUMNSxROWS:SQUARE_M (inner corners), "
-      "charuco:COLUMNSxROWS:SQUARE_M:MARKER_M or apriltag:COLUMNSxROWS:TAG_M:GAP_M";
+      "charuco:COLUMNSxROWS:SQUARE_M:MARKER_M or apriltag:COLUMNSxROWS:TAG_M:GAP_M, with :FIRST_ID "
+      "behind where it is not 0";
   const auto parts = split(text, ':');
   Board board;
   if (parts[0] == "charuco")
@@ -135,7 +163,8 @@ Result<Board> parse_board(std::string_view text) {
   else if (parts[0] != "chessboard")
     return invalid(std::string(usage));
   const bool marked = board.kind != Board::Kind::kChessboard;
-  if (parts.size() != (marked ? 4u : 3u)) return invalid(std::string(usage));
+  const bool numbered = marked && parts.size() == 5;
+  if (!numbered && parts.size() != (marked ? 4u : 3u)) return invalid(std::string(usage));
   const auto sides = split(parts[1], 'x');
   const auto columns = to_number(sides[0]),
              rows = sides.size() == 2 ? to_number(sides[1]) : std::nullopt;
@@ -159,6 +188,7 @@ Result<Board> parse_board(std::string_view text) {
         "has more than 101 squares, for which 50 markers of the dictionary 4x4_50 do not suffice");
   if (board.kind == Board::Kind::kCharuco && board.marker_m >= board.square_m)
     return invalid("has markers that are not smaller than their squares");
+  if (marked) PENUMBRA_TRY(set_first_id(numbered ? parts[4] : "0", text, board));
   return board;
 }
 

@@ -21,10 +21,14 @@ struct Board {
   int columns = 0, rows = 0;
   double square_m = 0;  // side of a square, of a tag for AprilTag
   double marker_m = 0;  // side of a ChArUco marker; gap between two AprilTags
+  int first_id = 0;     // of the markers, so that two boards in one picture differ
 };
 
+/// How many markers a board has; 0 for a chessboard.
+int marker_count(const Board& board);
+
 /// "chessboard:15x9:0.026", "charuco:8x6:0.04:0.03" (4x4_50 markers), "apriltag:6x6:0.088:0.0264"
-/// (36h11, ids row by row from 0).
+/// (36h11, ids row by row from 0). A fifth part is the first id: "charuco:8x6:0.04:0.03:24".
 /// errors: kInvalid
 Result<Board> parse_board(std::string_view text);
 

@@ -14,6 +14,7 @@
 #include "calib/camera/colour.h"
 #include "calib/camera/lens_vignetting.h"
 #include "calib/camera/noise.h"
+#include "calib/camera/pose_file.h"
 #include "calib/camera/response.h"
 #include "capture/camera_regions.h"
 #include "capture/frames.h"
@@ -111,17 +112,10 @@ Result<calib::CameraModel> read_projection(const TomlKeys& keys) {
 
 /// A rotation and a translation, column-major, within the rounding of a file's few digits.
 Result<Pose> read_pose(const TomlKeys& keys, std::string_view key = "world_from_camera") {
-  constexpr double tolerance = 1e-3;
   PENUMBRA_ASSIGN(m, keys.numbers(key, 16));
-  if (m[3] != 0 || m[7] != 0 || m[11] != 0 || m[15] != 1)
-    return keys.invalid(key, "the last row is not 0 0 0 1 (the list is column-major)");
-  const glm::dmat3 r(m[0], m[1], m[2], m[4], m[5], m[6], m[8], m[9], m[10]);
-  for (int a = 0; a < 3; ++a)
-    for (int b = 0; b < 3; ++b)
-      if (std::abs(glm::dot(r[a], r[b]) - (a == b ? 1 : 0)) > tolerance)
-        return keys.invalid(key, "is not a rigid transform: its axes are not orthonormal");
-  if (glm::determinant(r) < 0) return keys.invalid(key, "is not a rigid transform: it mirrors");
-  return Pose{glm::normalize(glm::quat_cast(r)), {m[12], m[13], m[14]}};
+  const auto pose = calib::pose_from_matrix(m);
+  if (!pose) return keys.invalid(key, pose.error().detail);
+  return *pose;
 }
 
 Result<void> read_identity(const TomlKeys& keys, CameraInfo& info) {
@@ -250,15 +244,14 @@ Result<void> read_pose_file(const TomlKeys& keys, CameraInfo& info) {
     return keys.invalid("pose", "is given besides world_from_camera: keep one of them");
   PENUMBRA_ASSIGN(name, keys.text("pose"));
   const fs::path path = keys.path().parent_path() / name;
-  PENUMBRA_ASSIGN(root, parse_toml(path));
-  const TomlKeys file(path, root);
-  PENUMBRA_TRY(file.version(1));
-  PENUMBRA_ASSIGN(cameras, file.tables("camera"));
-  for (const toml::table* table : cameras) {
-    const TomlKeys camera(path, *table);
-    PENUMBRA_ASSIGN(other, camera.text("name"));
-    if (other != info.name) continue;
-    PENUMBRA_ASSIGN(pose, read_pose(camera));
+  PENUMBRA_ASSIGN(text, read_text(path, std::size_t{1} << 26));
+  PENUMBRA_ASSIGN(file, calib::parse_pose_file(text, path));
+  if (file.poses_in == calib::PosesIn::kTrackedBody)
+    return keys.invalid("pose", fmt::format("{} has poses on a tracked body, not in the world: it "
+                                            "is a calibration for [pose] of rig.toml",
+                                            name));
+  for (const auto& [camera, pose] : file.cameras) {
+    if (camera != info.name) continue;
     info.world_from_camera = pose;
     return {};
   }

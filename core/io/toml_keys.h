@@ -119,6 +119,21 @@ class TomlKeys {
     return values;
   }
 
+  /// A list of texts, at least one.
+  Result<std::vector<std::string>> texts(std::string_view key) const {
+    const toml::node* node = table_.get(key);
+    if (!node) return invalid(key, "is missing");
+    std::vector<std::string> values;
+    if (const toml::array* list = node->as_array())
+      for (const toml::node& element : *list) {
+        const auto text = element.value<std::string>();
+        if (!text) return invalid(element, key, "is not a list of texts");
+        values.push_back(*text);
+      }
+    if (values.empty()) return invalid(key, "is not a list of texts");
+    return values;
+  }
+
   /// The tables of [[key]]; empty where there is none.
   Result<std::vector<const toml::table*>> tables(std::string_view key) const {
     std::vector<const toml::table*> out;

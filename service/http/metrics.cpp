@@ -145,6 +145,27 @@ void add_outputs(const PublishedState::Snapshot& s, Metrics& m) {
     m.add(o.trouble.empty() ? 1 : 0, fmt::format("output=\"{}\"", quoted(o.name)));
 }
 
+void add_pose(const PublishedState::Snapshot& s, Metrics& m) {
+  if (!s.pose) return;
+  m.begin("penumbra_poses_total", "counter", "Poses of the source by what became of them.");
+  m.add(static_cast<double>(s.pose->taken), "result=\"taken\"");
+  m.add(static_cast<double>(s.pose->refused), "result=\"refused\"");
+  m.gauge("penumbra_pose_opacity", "Opacity of what is virtual: below 1 while its pose is old.",
+          s.pose->opacity);
+}
+
+void add_headset(const PublishedState::Snapshot& s, Metrics& m) {
+  if (!s.headset) return;
+  m.begin("penumbra_headset_pictures_total", "counter",
+          "Pictures for the headset by what became of them.");
+  m.add(static_cast<double>(s.headset->shown), "result=\"shown\"");
+  m.add(static_cast<double>(s.headset->overtaken), "result=\"overtaken\"");
+  m.add(static_cast<double>(s.headset->unmatched), "result=\"unmatched\"");
+  m.add(static_cast<double>(s.headset->unplaced), "result=\"unplaced\"");
+  m.gauge("penumbra_headset_running", "1 while the headset shows pictures.",
+          s.headset->phase == "running" ? 1 : 0);
+}
+
 void add_process(Metrics& m) {
   double pages = 0, resident_pages = 0;
   std::ifstream("/proc/self/statm") >> pages >> resident_pages;
@@ -176,6 +197,8 @@ std::string metrics_text(HttpContext& context) {
   add_light(s, context.sources.objects.max_shadow_error(), m);
   add_stages(context.sources.times, m);
   add_outputs(s, m);
+  add_pose(s, m);
+  add_headset(s, m);
   m.gauge("penumbra_streams", "Streams that are open.", context.streams);
   if (const auto recording = context.sources.recording.state()) {
     const auto r = to_json(*recording);

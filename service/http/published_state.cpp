@@ -56,6 +56,16 @@ void PublishedState::publish_outputs(std::vector<OutputState> outputs) {
   state_.outputs = std::move(outputs);
 }
 
+void PublishedState::publish_pose(PoseState pose) {
+  const std::scoped_lock lock(mutex_);
+  state_.pose = std::move(pose);
+}
+
+void PublishedState::publish_headset(HeadsetView headset) {
+  const std::scoped_lock lock(mutex_);
+  state_.headset = std::move(headset);
+}
+
 void PublishedState::publish_environment(const Environment& environment) {
   const auto now = Clock::now();
   {

@@ -9,12 +9,14 @@
 #include <map>
 #include <memory>
 #include <mutex>
+#include <optional>
 #include <string>
 #include <utility>
 #include <vector>
 
 #include "capture/frames.h"
 #include "core/environment.h"
+#include "core/threads/stage_times.h"
 #include "lighting/light_estimate.h"
 #include "runtime/pipeline/runs.h"
 
@@ -42,6 +44,25 @@ class PublishedState {
     std::string trouble;                     // why nothing comes out; empty: all is well
   };
   void publish_outputs(std::vector<OutputState> outputs);
+  /// Where the poses of frames come from, in a rig whose cameras move.
+  struct PoseState {
+    std::string name;
+    std::optional<double> age_s;  // of the newest pose; nothing before the first
+    std::uint64_t taken = 0, refused = 0;
+    std::uint64_t left_out = 0;  // environment frames without a pose
+    double opacity = 1;          // of what is virtual in the newest frame
+    std::string trouble;
+  };
+  void publish_pose(PoseState pose);
+  /// A headset that shows the picture.
+  struct HeadsetView {
+    std::string phase, runtime, headset;  // phase: "running", "idle" or "lost"
+    double rate_hz = 0;
+    std::uint64_t shown = 0, overtaken = 0, unmatched = 0, unplaced = 0, refused = 0, restarts = 0;
+    std::string trouble;
+    std::vector<std::pair<std::string, StageTimes::Percentiles>> latency;
+  };
+  void publish_headset(HeadsetView headset);
   /// The map that a light comes from. It is copied at most five times a second, and only while
   /// somebody asks for it.
   void publish_environment(const Environment& environment);
@@ -59,6 +80,8 @@ class PublishedState {
     std::vector<capture::CameraInfo> sources;
     std::vector<std::pair<std::string, capture::CameraCounts>> cameras;  // real ones
     std::vector<OutputState> outputs;
+    std::optional<PoseState> pose;
+    std::optional<HeadsetView> headset;
     std::map<std::string, double> preparing;  // work that goes on, and how far it has come
     /// "starting" before any light, "stale" when light or frames stopped coming, "slow" when frames
     /// come at less than four fifths of the source's rate, else "ok".

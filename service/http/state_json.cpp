@@ -40,6 +40,23 @@ json preparing_json(const PublishedState::Snapshot& s) {
   return out;
 }
 
+json pose_json(const PublishedState::PoseState& p) {
+  return {{"source", p.name},       {"age_s", p.age_s ? json(*p.age_s) : json(nullptr)},
+          {"taken", p.taken},       {"refused", p.refused},
+          {"left_out", p.left_out}, {"opacity", p.opacity},
+          {"trouble", p.trouble}};
+}
+
+json headset_json(const PublishedState::HeadsetView& h) {
+  json out = {{"phase", h.phase},         {"runtime", h.runtime},   {"headset", h.headset},
+              {"rate_hz", h.rate_hz},     {"shown", h.shown},       {"overtaken", h.overtaken},
+              {"unmatched", h.unmatched}, {"unplaced", h.unplaced}, {"refused", h.refused},
+              {"restarts", h.restarts},   {"trouble", h.trouble},   {"latency", json::object()}};
+  for (const auto& [name, p] : h.latency)
+    out["latency"][name] = {{"p50_ms", p.p50_ms}, {"p99_ms", p.p99_ms}, {"count", p.count}};
+  return out;
+}
+
 }  // namespace
 
 json health_json(HttpContext& context) {
@@ -51,6 +68,8 @@ json health_json(HttpContext& context) {
                {"stages", context.stages.now()}};
   if (!s.preparing.empty()) body["preparing"] = preparing_json(s);
   if (!s.cameras.empty()) body["cameras"] = cameras_json(s);
+  if (s.pose) body["pose"] = pose_json(*s.pose);
+  if (s.headset) body["headset"] = headset_json(*s.headset);
   if (json faults = context.sources.objects.faults(); !faults.empty()) body["faults"] = faults;
   return body;
 }
@@ -104,6 +123,8 @@ json state_json(HttpContext& context) {
   for (const PublishedState::OutputState& o : s.outputs)
     body["outputs"].push_back(
         {{"name", o.name}, {"shown", o.shown}, {"overtaken", o.overtaken}, {"trouble", o.trouble}});
+  body["pose"] = s.pose ? pose_json(*s.pose) : json(nullptr);
+  body["headset"] = s.headset ? headset_json(*s.headset) : json(nullptr);
   const auto recording = context.sources.recording.state();
   body["recording"] = recording ? to_json(*recording) : json(nullptr);
   return body;

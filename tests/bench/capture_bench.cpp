@@ -12,7 +12,7 @@
 #include "core/conventions.h"
 #include "core/half.h"
 #include "core/threads/parallel.h"
-#include "support/brackets.h"
+#include "tests/support/brackets.h"
 
 namespace penumbra::bench {
 namespace {

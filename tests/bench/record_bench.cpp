@@ -5,7 +5,7 @@
 #include "bench/harness.h"
 #include "calib/calib.h"
 #include "capture/capture.h"
-#include "support/temp_folder.h"
+#include "tests/support/temp_folder.h"
 
 namespace penumbra {
 namespace {

@@ -988,6 +988,19 @@ class Calibrate(CliTest):
         lenses[0].write_text(lenses[0].read_text().replace('"left"', '"other"'))
         self.expect_refusal([lenses[0].name, "other"], *given)
 
+    def test_a_board_is_a_page_to_print(self):
+        page = self.root / "board.pdf"
+        for board in ("charuco:5x8:0.03:0.022:24", "apriltag:4x5:0.03:0.01"):
+            self.run_well("calibrate", "board", "--board", board, "--paper", "letter", "-o", page)
+            written = page.read_bytes()
+            self.assertTrue(written.startswith(b"%PDF-1.4"))
+            self.assertIn(f"(--board {board})".encode(), written)
+        page.unlink()
+        self.expect_refusal(["360 x 360 mm", "does not fit A4"], "calibrate", "board", "--board", "charuco:9x9:0.04:0.03",
+                            "-o", page)
+        self.expect_refusal(["a5", "neither a4 nor letter"], "calibrate", "board", "--paper", "a5", "-o", page)
+        self.assertFalse(page.exists())
+
     def test_poses_of_two_cameras_are_one_file_that_a_rig_reads(self):
         capture, out, report = self.stereo(self.root / "stereo"), self.root / "poses.toml", self.root / "rig"
         board = ["--board", "chessboard:7x5:0.04"]
@@ -1008,6 +1021,8 @@ class Calibrate(CliTest):
         self.run_json("inspect", capture)
         (capture / "poses.toml").write_text(out.read_text().replace('"right"', '"other"'))
         self.expect_refusal(["capture.toml", "pose", '"right"'], "inspect", capture)
+        (capture / "poses.toml").write_text(out.read_text().replace('"first camera"', '"tracked body"'))
+        self.expect_refusal(["capture.toml", "pose", "tracked body"], "inspect", capture)
         (capture / "capture.toml").write_text(manifest)
         # On the floor: the cameras look at the board from above its plane. A hand that moves it is found out.
         self.expect_refusal(["--board-plane", "moved"], "calibrate", "rig", capture, *board, "--board-plane", "floor",

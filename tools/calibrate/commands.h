@@ -12,6 +12,7 @@ inline constexpr const char* kBoardHelp =
     "apriltag:6x5:0.05:0.015 (tags, side of a tag, gap between tags)";
 
 void add_calibrate_response(CLI::App& parent, Action& action);
+void add_calibrate_board(CLI::App& parent, Action& action);
 void add_calibrate_camera(CLI::App& parent, Action& action);
 void add_calibrate_vignetting(CLI::App& parent, Action& action);
 void add_calibrate_ball(CLI::App& parent, Action& action);

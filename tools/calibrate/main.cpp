@@ -7,6 +7,7 @@ int main(int argc, char** argv) {
                      [](CLI::App& app, Action& action) {
                        app.require_subcommand(1);
                        add_calibrate_response(app, action);
+                       add_calibrate_board(app, action);
                        add_calibrate_camera(app, action);
                        add_calibrate_vignetting(app, action);
                        add_calibrate_ball(app, action);

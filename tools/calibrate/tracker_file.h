@@ -9,7 +9,7 @@
 
 namespace penumbra::tools {
 
-/// CSV with the header time_s,tx,ty,tz,qx,qy,qz,qw: metres, a unit quaternion, times that rise.
+/// A track as capture::read_pose_track() reads it, in seconds.
 /// errors: kNotFound, kUnreadable, kInvalid (file and line)
 Result<std::vector<calib::TrackerPose>> read_tracker_file(const std::filesystem::path& path);
 

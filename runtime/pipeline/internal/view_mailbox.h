@@ -49,7 +49,7 @@ class ViewMailbox : public Closable {
     {
       const std::scoped_lock lock(mutex_);
       if (closed_) return;
-      const Place place = group_of_[static_cast<std::size_t>(frame.camera)];
+      const EyeOfGroup place = group_of_[static_cast<std::size_t>(frame.camera)];
       Group& group = groups_[place.group];
       if (group.eyes == 1)
         hand_on(group, {std::move(frame), std::nullopt});
@@ -83,18 +83,18 @@ class ViewMailbox : public Closable {
   }
 
  private:
-  using Pair = std::array<std::optional<capture::Frame>, 2>;
-  struct Place {
+  using EyeFrames = std::array<std::optional<capture::Frame>, 2>;
+  struct EyeOfGroup {
     std::size_t group = 0, eye = 0;
   };
   struct Group {
     int eyes = 1;
-    Pair ready, arriving;
+    EyeFrames ready, arriving;
     std::array<std::optional<TimestampNs>, 2> last;  // of each eye
   };
   static constexpr Seconds kGone{.25};  // an eye that brings nothing for so long
 
-  static bool holds(const Pair& pair) { return pair[0] || pair[1]; }
+  static bool holds(const EyeFrames& pair) { return pair[0] || pair[1]; }
 
   // Whose frame is the oldest; beyond the last without any.
   std::size_t next() const {
@@ -107,7 +107,7 @@ class ViewMailbox : public Closable {
     return out;
   }
 
-  void hand_on(Group& group, Pair pair) {
+  void hand_on(Group& group, EyeFrames pair) {
     for (const auto& frame : group.ready) dropped_ += frame.has_value();
     group.ready = std::move(pair);
     group.arriving = {};
@@ -137,8 +137,8 @@ class ViewMailbox : public Closable {
   }
 
   const Seconds tolerance_;
-  std::vector<Place> group_of_;  // by camera
-  std::vector<Group> groups_;    // guarded by mutex_, as is all below
+  std::vector<EyeOfGroup> group_of_;  // by camera
+  std::vector<Group> groups_;         // guarded by mutex_, as is all below
   std::optional<TimestampNs> first_;
   std::uint64_t unmatched_ = 0;
 };
