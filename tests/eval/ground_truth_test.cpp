@@ -60,8 +60,7 @@ TEST_P(GroundTruth, ObjectAndShadowStayWithinOnePercentUnderTheSameTruncatedLigh
   EXPECT_LE(a.shadow_rmse, .01);
 }
 
-INSTANTIATE_TEST_SUITE_P(Lights, GroundTruth,
-                         testing::Values(Case{"room", 5}, Case{"sky", 2}),
+INSTANTIATE_TEST_SUITE_P(Lights, GroundTruth, testing::Values(Case{"room", 5}, Case{"sky", 2}),
                          [](const auto& c) {
                            return std::string(c.param.name) + std::to_string(c.param.bands);
                          });
