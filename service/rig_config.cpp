@@ -147,6 +147,23 @@ Result<void> read_http(const TomlKeys& keys, const toml::table& table, const fs:
   return {};
 }
 
+// A map of the light instead of a camera that sees it.
+Result<void> read_light_file(const TomlKeys& keys, const fs::path& folder, RigConfig& c) {
+  constexpr double kLargest = 1e9;
+  PENUMBRA_TRY(read_path(keys, "environment", folder, c.light_environment));
+  for (const std::string_view key : {"environment_scale", "paper_albedo"})
+    if (keys.has(key) && !c.light_environment)
+      return keys.invalid(key, "belongs to an environment, which is not there");
+  if (c.light_environment && c.source == "studio")
+    return keys.invalid("environment", "belongs to [capture] for source = \"studio\"");
+  if (keys.has("environment_scale")) {
+    double scale = 0;
+    PENUMBRA_TRY(read_number(keys, "environment_scale", 0, kLargest, scale));
+    c.environment_scale = scale;
+  }
+  return read_number(keys, "paper_albedo", 0, 1, c.paper_albedo);
+}
+
 Result<void> read_headset(const TomlKeys& keys, HeadsetOptions& out) {
   constexpr double kFarthest_m = 10'000;
   if (keys.has("application")) {
@@ -190,8 +207,9 @@ Result<RigConfig> read_rig_config(const fs::path& path, bool to_composite) {
   constexpr std::string_view capture_keys[] = {"source", "environment", "asset", "real_mesh",
                                                "fps",    "width",       "height"};
   constexpr std::string_view scene_keys[] = {"file"};
-  constexpr std::string_view light_keys[] = {"bands", "max_lights", "max_shadow_error",
-                                             "stale_after_s"};
+  constexpr std::string_view light_keys[] = {"bands",         "max_lights",  "max_shadow_error",
+                                             "stale_after_s", "environment", "environment_scale",
+                                             "paper_albedo"};
   constexpr std::string_view http_keys[] = {"socket", "socket_group", "address",
                                             "port",   "token_file",   "origins"};
   constexpr std::string_view output_keys[] = {"recordings", "light_page", "pipewire",
@@ -204,7 +222,8 @@ Result<RigConfig> read_rig_config(const fs::path& path, bool to_composite) {
     PENUMBRA_TRY(read_integer(k, "bands", 1, kMaxBands, c.bands));
     PENUMBRA_TRY(read_integer(k, "max_lights", 0, 64, c.max_lights));
     PENUMBRA_TRY(read_number(k, "max_shadow_error", .001, 1, c.max_shadow_error));
-    return read_number(k, "stale_after_s", 0, 3600, c.stale_after_s);
+    PENUMBRA_TRY(read_number(k, "stale_after_s", 0, 3600, c.stale_after_s));
+    return read_light_file(k, folder, c);
   };
   const auto http = [&](const TomlKeys& k) {
     return read_http(k, *root["http"].as_table(), folder, c);
@@ -250,9 +269,10 @@ Result<RigConfig> read_rig_config(const fs::path& path, bool to_composite) {
     return to_composite &&
            std::ranges::none_of(cameras, [&](const auto& k) { return predicate(k.info); });
   };
-  if (has_none(capture::shows_surroundings))
+  if (!c.light_environment && has_none(capture::shows_surroundings))
     return keys.invalid("camera",
-                        "has neither a camera with role = \"environment\" nor a mirror ball");
+                        "has neither a camera with role = \"environment\" nor a mirror ball, and "
+                        "[light] no environment");
   if (has_none([](const auto& info) { return info.role == capture::Role::kView; }))
     return keys.invalid("camera", "has no camera with role = \"view\"");
   c.cameras = std::move(cameras);

@@ -9,6 +9,7 @@
 
 #include "capture/device/rig.h"
 #include "core/result.h"
+#include "runtime/scene/scene.h"
 #include "service/headset/headset.h"
 #include "service/poses/pose_config.h"
 
@@ -38,6 +39,11 @@ struct RigConfig {
   bool openxr = false;               // and into a headset
   HeadsetOptions headset{};
   std::optional<PoseConfig> pose;  // nothing: the cameras stand
+  // The light of a map instead of an environment camera's
+  std::optional<std::string> light_environment;
+  std::optional<double> environment_scale;  // nothing: by the paper of the boards
+  double paper_albedo = .8;
+  std::optional<runtime::Scene> own_scene;  // instead of a file's
 };
 
 /// errors: kNotFound, kUnreadable, kInvalid (file, line, key; an address that is not loopback,

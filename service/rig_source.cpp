@@ -2,8 +2,11 @@
 
 #include "capture/device/rig.h"
 #include "capture/recording/recording.h"
+#include "capture/studio/environments.h"
 #include "capture/studio/studio.h"
+#include "runtime/pipeline/light_file.h"
 #include "runtime/studio/studio_setup.h"
+#include "service/still_environment.h"
 
 namespace penumbra::service {
 
@@ -45,6 +48,36 @@ class LoopingCapture : public capture::FrameSource {
   std::int64_t offset_ns_ = 0, last_ns_ = 0;
 };
 
+// Finer than what an object's light can tell apart.
+constexpr int kMapWidth = 1024;
+
+Result<Image<Rgb>> read_map(const std::string& name) {
+  if (name == "builtin:room") return capture::make_room_environment(kMapWidth / 2, kMapWidth / 4);
+  PENUMBRA_ASSIGN(light, runtime::read_light(name));
+  PENUMBRA_ASSIGN(map, runtime::whole_latlong(light));
+  while (map.width() > kMapWidth && map.width() % 2 == 0 && map.height() % 2 == 0) {
+    Image<Rgb> half(map.width() / 2, map.height() / 2);
+    for (int y = 0; y < half.height(); ++y)
+      for (int x = 0; x < half.width(); ++x)
+        half.at(x, y) = (map.at(2 * x, 2 * y) + map.at(2 * x + 1, 2 * y) +
+                         map.at(2 * x, 2 * y + 1) + map.at(2 * x + 1, 2 * y + 1)) *
+                        .25f;
+    map = std::move(half);
+  }
+  return map;
+}
+
+Result<std::unique_ptr<StillEnvironment>> with_light_of_file(
+    std::unique_ptr<capture::FrameSource> frames, const RigConfig& c) {
+  PENUMBRA_ASSIGN(map, read_map(*c.light_environment));
+  StillEnvironmentOptions options{.map = std::move(map),
+                                  .scale = c.environment_scale,
+                                  .boards = {},
+                                  .paper_albedo = c.paper_albedo};
+  if (c.pose) options.boards = c.pose->boards;
+  return StillEnvironment::create(std::move(frames), std::move(options));
+}
+
 }  // namespace
 
 Result<RigSource> open_rig(const RigConfig& c, const ProgressOf& progress,
@@ -74,6 +107,11 @@ Result<RigSource> open_rig(const RigConfig& c, const ProgressOf& progress,
     rig.posed = posed.get();
     rig.source = std::move(posed);
   }
+  if (c.light_environment) {
+    PENUMBRA_ASSIGN(lit, with_light_of_file(std::move(rig.source), c));
+    rig.source = std::move(lit);
+  }
+  if (c.own_scene) rig.scene = *c.own_scene;
   if (c.scene) {
     PENUMBRA_ASSIGN(scene, runtime::read_scene(*c.scene));
     rig.scene = std::move(scene);

@@ -363,7 +363,7 @@ Result<void> serve(const ServeOptions& o, const ProgressOf& progress) {
   ::mallopt(M_MMAP_THRESHOLD, kLarge_bytes);
   ::mallopt(M_ARENA_MAX, kArenas);
   limit_log_rate(kBetweenSameLines_s);
-  PENUMBRA_ASSIGN(config, read_rig_config(o.config));
+  PENUMBRA_ASSIGN(config, o.quick ? quick_rig(*o.quick) : read_rig_config(o.config));
   std::signal(SIGHUP, SIG_IGN);  // until there is something to reload
   std::signal(SIGUSR1, SIG_IGN);
   std::signal(SIGPIPE, SIG_IGN);  // a client or a reader that left, and

@@ -90,4 +90,17 @@ std::vector<BoardLayout::Rectangle> black_of(const BoardLayout& layout) {
   return out;
 }
 
+std::vector<glm::dvec2> white_places(const Board& board) {
+  const BoardLayout layout = layout_of(board);
+  // Half way to what is next: another tag, or the end of a ChArUco board's white square.
+  const bool tags = board.kind == Board::Kind::kAprilTag;
+  const double gap_m = tags ? board.marker_m : (board.square_m - board.marker_m) / 2;
+  std::vector<glm::dvec2> out;
+  for (const BoardLayout::Marking& m : layout.markers) {
+    out.push_back(m.at_m + glm::dvec2(layout.marker_m / 2, -gap_m / 2));
+    out.push_back(m.at_m + glm::dvec2(-gap_m / 2, layout.marker_m / 2));
+  }
+  return out;
+}
+
 }  // namespace penumbra::calib

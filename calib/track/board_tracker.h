@@ -37,6 +37,10 @@ struct PlacedBoard {
   Pose world_from_board;
 };
 
+/// Places on the board where its paper is white, above and beside each marker; on the board as
+/// BoardViews have it, metres, x right and y down.
+std::vector<glm::dvec2> white_places(const Board& board);
+
 /// A camera's pose with how sure it is.
 struct TrackedPose {
   TimestampNs time;

@@ -11,7 +11,9 @@
 #include "prt/prt.h"
 #include "runtime/pipeline/pipeline.h"
 #include "service/poses/pose_config.h"
+#include "service/quick_rig.h"
 #include "service/rig_config.h"
+#include "service/still_environment.h"
 #include "tests/support/board_pictures.h"
 #include "tests/support/gl.h"
 #include "tests/support/temp_folder.h"
@@ -34,19 +36,23 @@ calib::CameraModel webcam_lens() {
 // A camera in the hand that goes around a board, which somebody covers for a while.
 class HandheldFilm : public capture::FrameSource {
  public:
-  HandheldFilm() {
-    cameras_.resize(2);
-    cameras_[0].name = "surroundings";
-    cameras_[0].projection = *calib::make_projection(calib::ProjectionKind::kLatLong, 64, 32);
-    cameras_[1].name = "webcam";
-    cameras_[1].role = capture::Role::kView;
-    cameras_[1].projection = webcam_lens();
-    cameras_[1].response = calib::Response::srgb();
-    capture::Frame light;
-    light.exposure = {Seconds(1), Gain(1)};
-    light.time = time_of(0);
-    light.pixels = std::make_shared<const FramePixels>(Image<Rgb>(64, 32, Rgb{.4f, .35f, .3f}));
-    frames_.push_back(light);
+  // The light comes from a camera of its own or, without it, from elsewhere.
+  explicit HandheldFilm(bool with_light = true) {
+    cameras_.resize(with_light ? 2 : 1);
+    capture::CameraInfo& webcam = cameras_.back();
+    webcam.name = "webcam";
+    webcam.role = capture::Role::kView;
+    webcam.projection = webcam_lens();
+    webcam.response = calib::Response::srgb();
+    if (with_light) {
+      cameras_[0].name = "surroundings";
+      cameras_[0].projection = *calib::make_projection(calib::ProjectionKind::kLatLong, 64, 32);
+      capture::Frame light;
+      light.exposure = {Seconds(1), Gain(1)};
+      light.time = time_of(0);
+      light.pixels = std::make_shared<const FramePixels>(even_light());
+      frames_.push_back(light);
+    }
     const test::BoardPainter painter(webcam_lens());
     const auto drawn = test::draw_board(board(), calib::world_from_flat_board(board()));
     for (int i = 0; i < kBoardFrames; ++i) {
@@ -54,7 +60,7 @@ class HandheldFilm : public capture::FrameSource {
       faults.seed = static_cast<unsigned>(i);
       if (i >= kLostFrom && i < kLostTo) faults.covered = {0, 0, 640, 480};
       capture::Frame frame;
-      frame.camera = 1;
+      frame.camera = static_cast<int>(cameras_.size()) - 1;
       frame.sequence = static_cast<std::uint64_t>(i);
       frame.exposure = {Seconds(1), Gain(1)};
       frame.time = time_of(i);
@@ -64,6 +70,7 @@ class HandheldFilm : public capture::FrameSource {
     }
   }
 
+  static Image<Rgb> even_light() { return {64, 32, Rgb{.4f, .35f, .3f}}; }
   static calib::Board board() { return *calib::parse_board("charuco:8x6:0.03:0.022"); }
   static Pose camera_at(int i) {
     const double t = i / kChainFps;
@@ -183,6 +190,66 @@ TEST(PoseChain, AnObjectStaysOnItsBoardBeforeAHandheldLensAndFadesWhileTheBoardI
   }
   EXPECT_LT(seen[kLostTo - 1].opacity, .01);
   EXPECT_EQ(seen.back().opacity, 1);
+}
+
+// The light of a file, whose units nobody knows, is as bright as the board's paper says.
+TEST(PoseChain, AMapIsScaledByThePaperOfTheBoard) {
+  PoseConfig config;
+  config.source = "board";
+  config.boards = {{HandheldFilm::board(), calib::world_from_flat_board(HandheldFilm::board())}};
+  auto posed = with_poses(std::make_unique<HandheldFilm>(false), config, nullptr);
+  ASSERT_TRUE(posed) << posed.error().detail;
+  auto lit = StillEnvironment::create(
+      std::move(*posed), {.map = HandheldFilm::even_light(), .scale = {}, .boards = config.boards});
+  ASSERT_TRUE(lit) << lit.error().detail;
+  ASSERT_EQ((*lit)->cameras().size(), 2u);
+  // The painter's paper has the code 225; under an even sky it sends albedo times radiance.
+  const double paper = calib::Response::srgb().decode(225 / 255., 0);
+  int maps = 0, views = 0;
+  std::optional<TimestampNs> before;
+  while (const auto frame = *(*lit)->next()) {
+    views += frame->camera == 0;
+    if (frame->camera == 0) continue;
+    const Rgb& p = std::get<Image<Rgb>>(*frame->pixels).at(5, 9);
+    for (int c = 0; c < 3; ++c) EXPECT_NEAR(p[c] * .8 / paper, 1, .06) << c;
+    if (before) {
+      EXPECT_GE((frame->time - *before).count(), .2);
+    }
+    before = frame->time;
+    ++maps;
+  }
+  EXPECT_EQ(views, kBoardFrames);
+  EXPECT_GE(maps, 2);
+  // Without a board nobody can tell.
+  const auto blind = StillEnvironment::create(std::make_unique<HandheldFilm>(false),
+                                              {.map = HandheldFilm::even_light(), .boards = {}});
+  ASSERT_FALSE(blind);
+  EXPECT_THAT(blind.error().detail, ::testing::HasSubstr("environment_scale"));
+  // Two lights are one too many.
+  const auto twice =
+      StillEnvironment::create(std::make_unique<HandheldFilm>(),
+                               {.map = HandheldFilm::even_light(), .scale = 1, .boards = {}});
+  ASSERT_FALSE(twice);
+  EXPECT_THAT(twice.error().detail, ::testing::HasSubstr("shows it, too"));
+}
+
+TEST(QuickRig, IsACameraABoardAndAnObjectOnItsMiddle) {
+  const auto played = quick_rig({.source = "film.mkv", .environment = "room.hdr"});
+  ASSERT_TRUE(played) << played.error().detail;
+  EXPECT_EQ(played->source, "film.mkv");
+  ASSERT_EQ(played->pose->boards.size(), 1u);
+  // The middle of the board is the world's origin: half of seven squares to the right.
+  const dvec3 corner = played->pose->boards[0].world_from_board * dvec3(0);
+  EXPECT_NEAR(glm::distance(corner, dvec3(-.09, 0, -.06)), 0, 1e-9);
+  ASSERT_EQ(played->own_scene->objects.size(), 1u);
+  EXPECT_EQ(played->light_environment, "room.hdr");
+  EXPECT_EQ(played->port, 8787);
+  const auto nowhere = quick_rig({.source = "/dev/video97"});
+  ASSERT_FALSE(nowhere);
+  EXPECT_EQ(nowhere.error().where, "/dev/video97");
+  EXPECT_EQ(nowhere.error().code, ErrorCode::kNotFound);
+  EXPECT_FALSE(quick_rig({.source = "film.mkv", .board = "charuco:8"}));
+  EXPECT_FALSE(quick_rig({.source = "film.mkv", .size_m = 0}));
 }
 
 class PoseKeys : public ::testing::Test {
