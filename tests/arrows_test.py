@@ -15,7 +15,7 @@ import sys
 from pathlib import Path
 
 # From the bottom to the top.
-ROOMS = """core core/threads core/io codec calib/camera calib/import calib/estimate calib/track
+ROOMS = """core core/threads core/io codec codec/tone calib/camera calib/import calib/estimate calib/track
 capture capture/poses capture/hdr capture/watch capture/ring capture/environment capture/studio
 capture/recording capture/device lighting/sh lighting/lights lighting
 prt/geometry prt/rays prt/transfer prt/bake prt/clip prt/reference

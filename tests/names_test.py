@@ -100,6 +100,7 @@ TABLES = {
             f"{SUMMARY} - {CONFIGURATION} + configuration", f"{CONFIGURATION} - configuration"],
         "render": ["tools/penumbra/command_render.cpp: print_json("],
         "record": [f"{RECORD} > return"],
+        "tonemap": ["tools/penumbra/command_tonemap.cpp: print_json("],
         "bake": [BAKE, CLIP + ': print_json({{"clip" - ' + BAKE],
         "hdr merge and hdr environment": [f"{MERGE} + {ENVIRONMENT}: print_json("],
         "light estimate": ["tools/penumbra/command_light.cpp: if (o.json) - lights residual"],

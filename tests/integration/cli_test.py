@@ -461,6 +461,74 @@ class Files(CliTest):
         self.expect_refusal(["even.hdr"], "compare", self.root / "even.hdr", self.root / "a.png")
 
 
+class Tonemap(CliTest):
+    OPERATORS = ("level-set", "photographic", "photographic-local", "bilateral", "filmic")
+
+    @classmethod
+    def make_files(cls):
+        files.write_hdr(cls.root / "even.hdr", 64, 32, (1.0, 0.5, 0.25))
+        files.write_sun_hdr(cls.root / "sun.hdr", 64, 32, 20000)
+        (cls.root / "cut.hdr").write_bytes((cls.root / "even.hdr").read_bytes()[:3000])
+        # A header that promises a hundred megapixels, over four bytes of them.
+        (cls.root / "huge.hdr").write_bytes(b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 10000 +X 10000\n"
+                                            b"\x02\x02\x27\x10")
+        files.write_png(cls.root / "a.png", 9, 7, lambda x, y: (x, y, 200))
+        files.write_png(cls.root / "b.png", 9, 7, lambda x, y: (x, 40 * y, 100))
+
+    def show(self, name, *options):
+        out = self.root / "shown.png"
+        told = self.run_json("tonemap", self.root / name, "-o", out, *options)
+        width, height, pixels = files.read_png(out)
+        self.assertEqual((told["width"], told["height"], width, height), (64, 32, 64, 32))
+        return told, pixels
+
+    def test_every_operator_shows_a_picture(self):
+        for operator in self.OPERATORS:
+            told, pixels = self.show("even.hdr", "--operator", operator)
+            self.assertEqual(told["operator"], operator)
+            self.assertEqual(len(set(pixels[0::3])), 1, operator)
+            self.assertTrue(40 < pixels[2] < pixels[1] < pixels[0] < 230, (operator, pixels[:3]))
+            self.assert_close(told["detail_rms"], 0, 1e-6)
+            # One pixel of sun neither darkens the rest to black nor leaves its own place.
+            _, pixels = self.show("sun.hdr", "--operator", operator)
+            at = 3 * (8 * 64 + 40)
+            self.assertGreater(pixels[at], pixels[0], operator)
+            self.assertGreater(pixels[0], 40, operator)
+
+    def test_exposure_brightens_and_detail_is_written(self):
+        dark, bright = (self.show("even.hdr", "--exposure", stops)[1][0] for stops in (-2, 2))
+        self.assertGreater(bright, dark + 60)
+        detail = self.root / "detail.png"
+        self.show("sun.hdr", "--operator", "bilateral", "--detail", detail)
+        self.assertEqual(files.read_png(detail)[:2], (64, 32))
+
+    def test_bad_input_is_one_line(self):
+        out = self.root / "out" / "shown.png"
+        for name in ("nowhere.hdr", "cut.hdr", "huge.hdr", "a.png"):
+            self.expect_refusal([name], "tonemap", self.root / name, "-o", out)
+        even = self.root / "even.hdr"
+        self.expect_refusal(["--operator", "levelset", "level-set"], "tonemap", even, "-o", out, "--operator", "levelset")
+        self.expect_refusal(["--detail", "filmic"], "tonemap", even, "-o", out, "--operator", "filmic",
+                            "--detail", self.root / "out" / "detail.png")
+        for flag, value in (("--exposure", 99), ("--key", 0), ("--steps", -1), ("--saturation", 3)):
+            self.expect_refusal([flag], "tonemap", even, "-o", out, flag, value)
+        self.expect_refusal(["shown.xyz"], "tonemap", even, "-o", self.root / "out" / "shown.xyz")
+
+    def test_compare_draws_the_error(self):
+        drawn = self.root / "error.png"
+        for of in ("flip", "pu21", "sarnoff"):
+            self.run_well("compare", self.root / "a.png", self.root / "a.png", "--map", drawn, "--map-of", of)
+            self.assertEqual(set(files.read_png(drawn)[2]), {0}, of)
+            told = self.run_json("compare", self.root / "a.png", self.root / "b.png", "--map", drawn, "--map-of", of)
+            self.assertGreater(max(files.read_png(drawn)[2]), 0, of)
+        self.assertGreater(told["mse"], 0)
+        self.assertGreater(told["sarnoff"], 0)
+        self.assertTrue(0 < told["pu21_psnr_db"] < 40 and told["pu21_ssim"] < 0.95, told)
+        self.expect_refusal(["--map-of"], "compare", self.root / "a.png", self.root / "b.png", "--map-of", "eye")
+        self.expect_refusal(["error.xyz"], "compare", self.root / "a.png", self.root / "b.png", "--map",
+                            self.root / "out" / "error.xyz")
+
+
 class Window(CliTest):
     """A real window, under Xvfb."""
 

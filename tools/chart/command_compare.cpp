@@ -3,13 +3,22 @@
 
 #include <cmath>
 #include <limits>
+#include <optional>
+#include <string>
+#include <utility>
+#include <vector>
 
 #include "codec/codec.h"
+#include "codec/display.h"
 #include "core/conventions.h"
+#include "core/io/files.h"
 #include "runtime/pipeline/report.h"
 #include "tools/chart/benches/chart_bench.h"
 #include "tools/chart/commands.h"
 #include "tools/chart/measures/flip.h"
+#include "tools/chart/measures/luminance_error.h"
+#include "tools/chart/measures/picture_pairs.h"
+#include "tools/chart/measures/sarnoff.h"
 #include "tools/common/command.h"
 #include "tools/common/print.h"
 #include "tools/runs/output.h"
@@ -23,13 +32,20 @@ struct CompareOptions {
   // "blue": pixels that are pure blue in this picture are left out
   std::optional<std::string> mask;
   bool scale = false;  // allow one scale factor
+  double nits = 100;   // luminance of 1, cd/m^2
+  std::optional<std::string> map;
+  std::string map_of = "flip";
   bool json = false;
 };
 
-// Any picture as linear floats: 8 and 16 bit codes stay codes in 0..1.
-Result<Image<Rgb>> read_any(const std::string& path) {
+struct ReadPicture {
+  Image<Rgb> values;   // 8 and 16 bit codes stay codes in 0..1
+  bool codes = false;  // else linear
+};
+
+Result<ReadPicture> read_any(const std::string& path) {
   PENUMBRA_ASSIGN(frame, codec::read_frame(path));
-  if (auto* linear = std::get_if<Image<Rgb>>(&frame)) return std::move(*linear);
+  if (auto* linear = std::get_if<Image<Rgb>>(&frame)) return ReadPicture{std::move(*linear)};
   const auto scaled = [](const auto& in, float full) {
     Image<Rgb> out(in.width(), in.height());
     for (std::size_t i = 0; i < in.area(); ++i) {
@@ -38,8 +54,18 @@ Result<Image<Rgb>> read_any(const std::string& path) {
     }
     return out;
   };
-  if (const auto* f8 = std::get_if<Image<Rgb8>>(&frame)) return scaled(*f8, 255.f);
-  return scaled(std::get<Image<Rgb16>>(frame), 65535.f);
+  if (const auto* f8 = std::get_if<Image<Rgb8>>(&frame))
+    return ReadPicture{scaled(*f8, 255.f), true};
+  return ReadPicture{scaled(std::get<Image<Rgb16>>(frame), 65535.f), true};
+}
+
+// What an sRGB display shows of codes.
+Image<Rgb> linear_of(const ReadPicture& picture) {
+  Image<Rgb> out = picture.values;
+  if (picture.codes)
+    for (Rgb& p : out.pixels())
+      for (int c = 0; c < 3; ++c) p[c] = codec::linear_from_srgb(p[c]);
+  return out;
 }
 
 struct Figures {
@@ -91,18 +117,73 @@ Figures measure(const Image<Rgb>& a, const Image<Rgb>& b, const std::vector<bool
   return f;
 }
 
+// Measures of an eye, of the whole pictures as a display shows them: a mask or a factor has no
+// place in them. What cannot be measured is NaN.
+struct SeenFigures {
+  double mse = kUnknown, luminance_psnr_db = kUnknown, pu21_psnr_db = kUnknown,
+         pu21_ssim = kUnknown, sarnoff = kUnknown, flip = kUnknown;
+
+  static constexpr double kUnknown = std::numeric_limits<double>::quiet_NaN();
+};
+
+// Errors of pixels as --map draws them: 0..1.
+struct SeenMaps {
+  Result<Image<float>> flip, pu21, sarnoff;
+};
+
+SeenFigures measure_seen(const ReadPicture& a, const ReadPicture& b, double nits, SeenMaps& maps) {
+  const Image<Rgb> test = linear_of(a), reference = linear_of(b);
+  SeenFigures out;
+  if (const auto error = luminance_error(reference, test))
+    out.mse = error->mse, out.luminance_psnr_db = error->psnr_db;
+  if (auto error = pu21_error(reference, test, nits)) {
+    out.pu21_psnr_db = error->psnr_db, out.pu21_ssim = error->ssim;
+    maps.pu21 = std::move(error->difference);
+    for (float& v : maps.pu21->pixels()) v /= 64;  // a quarter of an ordinary display's range
+  } else {
+    maps.pu21 = std::unexpected(error.error());
+  }
+  maps.sarnoff = sarnoff_map(reference, test);
+  if (maps.sarnoff) out.sarnoff = mean_sarnoff(*maps.sarnoff);
+  // Codes are what a display shows; radiance may be shown at any exposure.
+  if (a.codes && b.codes)
+    maps.flip = flip(reference, test);
+  else
+    maps.flip = hdr_flip(reference, test);
+  if (maps.flip) out.flip = mean_flip(*maps.flip);
+  return out;
+}
+
+Result<void> write_map(const CompareOptions& o, SeenMaps& maps) {
+  Result<Image<float>>& map = o.map_of == "pu21"      ? maps.pu21
+                              : o.map_of == "sarnoff" ? maps.sarnoff
+                                                      : maps.flip;
+  if (!map) return fail(map.error().code, "--map-of " + o.map_of, map.error().detail);
+  if (o.map_of == "sarnoff")
+    for (float& v : map->pixels()) v *= 20;  // a twentieth is a plain difference of contrast
+  return codec::write_frame(*o.map, heat_picture(*map));
+}
+
+std::string one_of_maps(const std::string& text) {
+  const bool known = text == "flip" || text == "pu21" || text == "sarnoff";
+  return known ? std::string() : "is none of flip, pu21 and sarnoff";
+}
+
 }  // namespace
 
 Result<void> compare(const CompareOptions& o) {
-  PENUMBRA_ASSIGN(a, read_any(o.a));
-  PENUMBRA_ASSIGN(b, read_any(o.b));
+  if (o.map) PENUMBRA_TRY(check_writable(*o.map));
+  PENUMBRA_ASSIGN(picture, read_any(o.a));
+  PENUMBRA_ASSIGN(reference, read_any(o.b));
+  const Image<Rgb>&a = picture.values, &b = reference.values;
   if (!a.same_size(b))
     return fail(ErrorCode::kInvalid, o.a,
                 fmt::format("has {}x{} pixels, but {} has {}x{}", a.width(), a.height(), o.b,
                             b.width(), b.height()));
   std::vector<bool> use(a.area(), true);
   if (o.mask) {
-    PENUMBRA_ASSIGN(mask, read_any(*o.mask));
+    PENUMBRA_ASSIGN(mask_picture, read_any(*o.mask));
+    const Image<Rgb>& mask = mask_picture.values;
     if (!mask.same_size(a))
       return fail(ErrorCode::kInvalid, *o.mask, "has another size than the pictures");
     for (std::size_t i = 0; i < use.size(); ++i) {
@@ -112,24 +193,32 @@ Result<void> compare(const CompareOptions& o) {
   }
   const Figures f = measure(a, b, use, o.scale);
   if (f.compared == 0) return fail(ErrorCode::kUndetermined, o.a, "has no pixel left to compare");
-  // Of the pictures as they are: a mask or a factor has no place in a model of the eye.
-  const auto map = hdr_flip(b, a);
-  const double flip = map ? mean_flip(*map) : std::numeric_limits<double>::quiet_NaN();
+  SeenMaps maps;
+  const SeenFigures seen = measure_seen(picture, reference, o.nits, maps);
+  if (o.map) PENUMBRA_TRY(write_map(o, maps));
   if (o.json) {
     print_json({{"rel_rmse", f.rel_rmse},
                 {"log10_rmse", f.log10_rmse},
                 {"psnr_db", f.psnr_db},
                 {"max_abs", f.max_abs},
-                {"flip", flip},
+                {"mse", seen.mse},
+                {"luminance_psnr_db", seen.luminance_psnr_db},
+                {"pu21_psnr_db", seen.pu21_psnr_db},
+                {"pu21_ssim", seen.pu21_ssim},
+                {"sarnoff", seen.sarnoff},
+                {"flip", seen.flip},
                 {"scale", f.scale},
                 {"compared_pixels", f.compared},
                 {"non_finite", f.non_finite}});
   } else {
     fmt::print(
         "relative RMSE {:.5g}, log10 luminance RMSE {:.5g}, PSNR {:.2f} dB, largest difference "
-        "{:.5g}, mean HDR-FLIP {:.4f}\n"
+        "{:.5g}\n"
+        "luminance: MSE {:.5g}, PSNR {:.2f} dB; as seen: PU21-PSNR {:.2f} dB, PU21-SSIM {:.4f}, "
+        "Sarnoff {:.4f}, mean FLIP {:.4f}\n"
         "{} pixels compared, {} not finite, {} scaled by {:.5g}\n",
-        f.rel_rmse, f.log10_rmse, f.psnr_db, f.max_abs, flip, f.compared, f.non_finite, o.a,
+        f.rel_rmse, f.log10_rmse, f.psnr_db, f.max_abs, seen.mse, seen.luminance_psnr_db,
+        seen.pu21_psnr_db, seen.pu21_ssim, seen.sarnoff, seen.flip, f.compared, f.non_finite, o.a,
         f.scale);
   }
   return {};
@@ -139,12 +228,20 @@ void add_compare(CLI::App& parent, Action& action) {
   static CompareOptions compare_options;
   auto* c = parent.add_subcommand("compare",
                                   "Measure the difference between two pictures of the same size");
-  c->add_option("a", compare_options.a, "Picture to judge")->required();
+  c->add_option("a", compare_options.a, "ReadPicture to judge")->required();
   c->add_option("b", compare_options.b, "Reference picture")->required();
   c->add_option("--mask", compare_options.mask,
                 "Mask of the same size: pixels that are pure blue in it are left out");
   c->add_flag("--scale", compare_options.scale,
               "First scale the picture by one factor, fitted in the logarithm of luminance");
+  c->add_option("--nits", compare_options.nits,
+                "Luminance that a value of 1 is shown at, cd/m^2, for the PU21 measures")
+      ->capture_default_str()
+      ->check(within(1e-6, 1e6));
+  c->add_option("--map", compare_options.map, "Also write a picture of the error");
+  c->add_option("--map-of", compare_options.map_of, "What --map shows: flip, pu21 or sarnoff")
+      ->capture_default_str()
+      ->check(one_of_maps);
   add_json(c, compare_options.json);
   c->callback([&] { action = [] { return compare(compare_options); }; });
 }

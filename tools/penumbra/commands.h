@@ -13,6 +13,7 @@ void add_bake(CLI::App& parent, Action& action);
 void add_render(CLI::App& parent, Action& action);
 void add_composite(CLI::App& parent, Action& action);
 void add_serve(CLI::App& parent, Action& action);
+void add_tonemap(CLI::App& parent, Action& action);
 void add_record(CLI::App& parent, Action& action);
 
 }  // namespace penumbra::tools

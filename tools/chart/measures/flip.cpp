@@ -14,6 +14,7 @@
 
 #include "core/conventions.h"
 #include "core/threads/parallel.h"
+#include "tools/chart/measures/picture_pairs.h"
 
 namespace penumbra::tools {
 
@@ -326,25 +327,11 @@ Image<Rgb> expose(const Image<Rgb>& radiance, double exposure) {
   return out;
 }
 
-Result<void> check_finite(const Image<Rgb>& picture, const char* name) {
-  for (int y = 0; y < picture.height(); ++y)
-    for (int x = 0; x < picture.width(); ++x)
-      if (!is_finite(picture.at(x, y)))
-        return fail(ErrorCode::kNonFinite, name, fmt::format("pixel ({}, {}) is not finite", x, y));
-  return {};
-}
-
 Result<void> check(const Image<Rgb>& reference, const Image<Rgb>& test, double pixels_per_degree) {
-  if (!reference.same_size(test))
-    return fail(ErrorCode::kInvalid, "test picture",
-                fmt::format("has {}x{} pixels, but the reference has {}x{}", test.width(),
-                            test.height(), reference.width(), reference.height()));
-  if (reference.empty()) return fail(ErrorCode::kInvalid, "reference picture", "has no pixels");
   if (!(pixels_per_degree >= 1) || !std::isfinite(pixels_per_degree))
     return fail(ErrorCode::kInvalid, "pixels per degree",
                 fmt::format("{} is not at least 1", pixels_per_degree));
-  PENUMBRA_TRY(check_finite(reference, "reference picture"));
-  return check_finite(test, "test picture");
+  return check_pair(reference, test);
 }
 
 }  // namespace

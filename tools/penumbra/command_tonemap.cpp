@@ -1,0 +1,131 @@
+#include <fmt/format.h>
+#include <CLI/CLI.hpp>
+
+#include <algorithm>
+#include <cmath>
+#include <optional>
+#include <string>
+
+#include "codec/codec.h"
+#include "codec/tone/tone_mapping.h"
+#include "core/io/files.h"
+#include "core/io/log.h"
+#include "tools/common/command.h"
+#include "tools/common/print.h"
+#include "tools/penumbra/commands.h"
+
+namespace penumbra::tools {
+
+namespace {
+
+struct TonemapOptions {
+  std::string input, output, op = "level-set";
+  std::optional<std::string> detail;
+  tone::ToneOptions tone;
+  bool json = false;
+};
+
+// Grey where there is none; a hundred steps of the code to a factor of e.
+Image<Rgb8> picture_of_detail(const Image<float>& detail) {
+  Image<Rgb8> out(detail.width(), detail.height());
+  for (std::size_t i = 0; i < out.area(); ++i) {
+    const float code = std::clamp(128 + 100 * detail.pixels()[i], 0.f, 255.f);
+    const auto v = static_cast<std::uint8_t>(std::lround(code));
+    out.pixels()[i] = {v, v, v};
+  }
+  return out;
+}
+
+double rms(const Image<float>& values) {
+  double sum = 0;
+  for (const float v : values.pixels()) sum += double{v} * v;
+  return values.empty() ? 0 : std::sqrt(sum / static_cast<double>(values.area()));
+}
+
+void report_tone(const TonemapOptions& o, const tone::ToneMapped& mapped) {
+  const tone::ToneStatistics& s = mapped.statistics;
+  const auto luminance = [&](double logarithm) { return s.black ? 0 : std::exp(logarithm); };
+  if (o.json) {
+    print_json({{"operator", o.op},
+                {"width", mapped.pixels.width()},
+                {"height", mapped.pixels.height()},
+                {"mean_luminance", luminance(s.mean)},
+                {"median_luminance", luminance(s.median)},
+                {"low_luminance", luminance(s.low)},
+                {"high_luminance", luminance(s.high)},
+                {"negative", s.negative},
+                {"detail_rms", rms(mapped.detail)}});
+    return;
+  }
+  fmt::print("{}: {}x{} by {}, luminance {:.4g} to {:.4g}, {:.4g} in the middle\n", o.output,
+             mapped.pixels.width(), mapped.pixels.height(), o.op, luminance(s.low),
+             luminance(s.high), luminance(s.median));
+}
+
+Result<void> tonemap(TonemapOptions o) {
+  PENUMBRA_TRY(check_writable(o.output));
+  if (o.detail) PENUMBRA_TRY(check_writable(*o.detail));
+  auto op = tone::parse_tone_operator(o.op);
+  if (!op) return fail(op.error().code, "--operator " + o.op, op.error().detail);
+  o.tone.op = *op;
+  PENUMBRA_ASSIGN(input, codec::read_hdr(o.input));
+  auto mapped = tone::tone_map(input.pixels, o.tone);
+  if (!mapped)
+    return fail(mapped.error().code,
+                mapped.error().where == "picture" ? o.input : mapped.error().where,
+                mapped.error().detail);
+  if (mapped->statistics.negative > 0)
+    log_warning("{}: {} pixels have components below 0, which count as 0", o.input,
+                mapped->statistics.negative);
+  if (o.detail && mapped->detail.empty())
+    return fail(ErrorCode::kInvalid, "--detail",
+                fmt::format("{} separates no detail: level-set and bilateral do", o.op));
+  PENUMBRA_TRY(codec::write_frame(o.output, mapped->pixels));
+  if (o.detail) PENUMBRA_TRY(codec::write_frame(*o.detail, picture_of_detail(mapped->detail)));
+  report_tone(o, *mapped);
+  return {};
+}
+
+}  // namespace
+
+void add_tonemap(CLI::App& parent, Action& action) {
+  static TonemapOptions o;
+  auto* c = parent.add_subcommand("tonemap", "Show an HDR picture on an ordinary display");
+  c->add_option("input", o.input, "HDR picture, .exr or .hdr")->required();
+  c->add_option("-o,--output", o.output, "Picture to write: PNG, JPEG or TIFF")->required();
+  c->add_option("--operator", o.op,
+                "level-set, photographic, photographic-local, bilateral or filmic")
+      ->capture_default_str();
+  c->add_option("--exposure", o.tone.exposure_stops, "Brighten by so many stops, -32 to 32")
+      ->capture_default_str()
+      ->check(within(-32, 32));
+  c->add_option("--key", o.tone.key,
+                "Luminance that the scene's middle is shown as, 0.01 to 0.9 of white; level-set: "
+                "0.18, else by where the middle lies between dark and bright")
+      ->check(within(.01, .9));
+  c->add_option("--saturation", o.tone.saturation,
+                "Part of each colour's distance from grey that is kept, 0 to 2; not for filmic")
+      ->capture_default_str()
+      ->check(within(0, 2));
+  c->add_option("--steps", o.tone.level_set.steps,
+                "Steps of the level set, 0 to 1000: more give more detail")
+      ->capture_default_str()
+      ->check(within(0, 1000));
+  c->add_option("--contrast", o.tone.contrast,
+                "Exponent of the curve that compresses the level set's profile, 0.1 to 4")
+      ->capture_default_str()
+      ->check(within(.1, 4));
+  c->add_option("--white", o.tone.white,
+                "Luminance shown white by photographic and filmic, in multiples of the middle, "
+                "above 1")
+      ->check(within(1, 1e6));
+  c->add_option("--base-decades", o.tone.base_decades,
+                "Decades that the bilateral base is compressed to, 0.1 to 8")
+      ->capture_default_str()
+      ->check(within(.1, 8));
+  c->add_option("--detail", o.detail, "Also write the detail, as a grey picture");
+  add_json(c, o.json);
+  c->callback([&] { action = [] { return tonemap(o); }; });
+}
+
+}  // namespace penumbra::tools
