@@ -12,7 +12,7 @@ install(DIRECTORY ${penumbra_header_rooms}
         PATTERN calib/import EXCLUDE
         PATTERN capture/watch EXCLUDE PATTERN contradiction.h EXCLUDE
         PATTERN compositor/layers EXCLUDE PATTERN compositor/pixels EXCLUDE
-        PATTERN compositor/projection.h EXCLUDE
+        PATTERN compositor/projection.h EXCLUDE PATTERN compositor/view_lens.h EXCLUDE
         PATTERN runtime/studio EXCLUDE PATTERN runtime/surroundings EXCLUDE
         PATTERN runtime/direct EXCLUDE PATTERN runtime/governor EXCLUDE
         REGEX "runtime/shading/(composite_stage|floor_recovery)\\.h$" EXCLUDE

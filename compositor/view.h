@@ -10,8 +10,6 @@
 
 #include "calib/camera/response_table.h"
 #include "calib/camera/vignetting.h"
-#include "compositor/projection.h"
-#include "compositor/view_lens.h"
 #include "core/image.h"
 #include "prt/clip/light_map.h"
 #include "prt/geometry/mesh.h"
@@ -20,6 +18,8 @@
 
 #pragma GCC visibility push(default)
 namespace penumbra::compositor {
+
+class ViewLens;
 
 /// What the camera does to all it sees, and so must happen to what is inserted. The blur of its
 /// optics is a Gaussian. The noise of its sensor has the variance g y + r^2 at signal y. Real
@@ -52,7 +52,6 @@ struct View {
   /// Null: the pinhole of `camera`. Else of `camera` only size and pose count, and the focal length
   /// near the axis. Stays for as long as what was drawn through it.
   std::shared_ptr<const ViewLens> lens{};
-  ViewProjection projection() const { return {camera, lens.get()}; }
 };
 
 /// How an object looks beyond its vertices.

@@ -8,6 +8,7 @@
 #include "compositor/pixels/layered_rows.h"
 #include "compositor/pixels/pixel_pass.h"
 #include "compositor/pixels/sensor_effects.h"
+#include "compositor/projection.h"
 #include "core/threads/background_task.h"
 
 namespace penumbra::compositor {
@@ -226,7 +227,8 @@ Result<CompositeStats> Compositor::Impl::composite_while_drawing(const View& vie
                                                                  FramePixels& out) {
   context->make_current();
   const Rect area = receivers.prepare(view);
-  const Layer room{layers->reach_of_objects(view.projection()), {}}, nothing;
+  const Layer room{layers->reach_of_objects(ViewProjection(view.camera, view.lens.get())), {}},
+      nothing;
   std::size_t beside = 0;
   BackgroundTask aside;
   aside.run([&] {

@@ -451,7 +451,7 @@ Result<void> Layers::draw(const View& view, const Rect& receiver_area, CommonLay
   }
   drawn_.reset();
   Layer &objects = objects_layer.renewed(), &hidden = hidden_layer.renewed();
-  const ViewProjection from_world = view.projection();
+  const ViewProjection from_world(view.camera, view.lens.get());
   PENUMBRA_TRY(programs_.prepare(view.lens));
   PENUMBRA_ASSIGN(by_contours, draw_layer_of_objects(view, from_world, objects));
   hidden.rect = occluders_.empty() ? Rect{} : receiver_area;

@@ -70,7 +70,7 @@ void Layers::keep_as_drawn(const ViewProjection& from_world) {
 // False where all has to be drawn.
 Result<bool> Layers::redraw_changed(const View& view, CommonLayer& objects) {
   if (std::ranges::none_of(objects_, &DrawnObject::changed)) return true;
-  const ViewProjection from_world = view.projection();
+  const ViewProjection from_world(view.camera, view.lens.get());
   const Rect whole = reach_of_objects(from_world), changed = changed_region(from_world);
   if (changed.empty() && objects.now->rect == whole) {  // out of the picture
     keep_as_drawn(from_world);

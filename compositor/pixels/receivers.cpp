@@ -160,7 +160,7 @@ Rect Receivers::prepare(const View& view) {
   fine_missing_.clear();
   half_images_.clear();
   Rect all;
-  const ViewProjection from_world = view.projection();
+  const ViewProjection from_world(view.camera, view.lens.get());
   PlaneLookup lookup;
   for (const FloorReceiver& r : receivers_) {
     if (!prepare_lookup(view, from_world, r, lookup)) continue;

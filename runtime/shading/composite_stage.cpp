@@ -8,6 +8,7 @@
 #include "calib/camera/response_table.h"
 #include "calib/camera/vignetting.h"
 #include "capture/hdr/merge.h"
+#include "compositor/view_lens.h"
 #include "core/io/log.h"
 #include "core/threads/background_task.h"
 #include "core/threads/parallel.h"

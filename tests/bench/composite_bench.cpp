@@ -3,6 +3,7 @@
 
 #include "bench/harness.h"
 #include "compositor/composite/compositor.h"
+#include "compositor/view_lens.h"
 #include "core/conventions.h"
 #include "prt/prt.h"
 #include "shadows/shadows.h"
