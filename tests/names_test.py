@@ -4,6 +4,7 @@
 usage: names_test.py ROOT
 
 No two product files define a type of the same name. Nested types count, `struct X::Impl` does not.
+No two test programs have a suite of the same name.
 Each table of TOML keys or JSON names in docs/reference/ holds what the code of that very table
 reads or writes, and nothing else. docs/accuracy.csv has the columns of the chart. Every check first
 runs on made-up faults: one that sees nothing cannot pass.
@@ -20,6 +21,7 @@ ROOMS = "core codec calib capture lighting prt shadows compositor runtime servic
 NOISE = re.compile(r'//[^\n]*|/\*.*?\*/|R"\w*\(.*?\)\w*"|"(?:\\.|[^"\\\n])*"', re.DOTALL)
 TYPE = re.compile(r"^[ \t]*(?:struct|class|enum class|enum)\s+(?:alignas\(\d+\)\s*)?([A-Z]\w*)\s*"
                   r"(?:final\s*)?(?::[^;{:][^;{]*)?\{", re.MULTILINE)
+SUITE = re.compile(r"^(?:TYPED_)?TEST(?:_F|_P)?\((\w+),", re.MULTILINE)
 ALIAS = re.compile(r"^[ \t]*using ([A-Z]\w*) =\s*([^;]*);", re.MULTILINE)
 WORD = re.compile(r"`(\w+)`")
 # constexpr std::string_view known[] = {"version", "camera"};
@@ -151,6 +153,16 @@ def doubles(files):
                 owners[name].add(path)
     return [f"{name}: defined in {', '.join(sorted(paths))}"
             for name, paths in sorted(owners.items()) if len(paths) > 1]
+
+
+def shared_suites(tests):
+    """Suites of GoogleTest that two programs (folders of tests) have: CTest knows them by that name."""
+    owners = defaultdict(set)
+    for path, text in tests.items():
+        for suite in SUITE.findall(text):
+            owners[suite].add(path.rsplit("/", 1)[0])
+    return [f"suite {name}: in {', '.join(sorted(folders))}"
+            for name, folders in sorted(owners.items()) if len(folders) > 1]
 
 
 # ---- Names in C++. ----
@@ -404,8 +416,11 @@ def self_test():
              "struct A::Impl {};\nclass B : public A {\n};\nauto s = R\"(struct A { };)\";\n"
              "using A = a::A;\n"}
     alias = {"core/a.h": "struct A {\n};\n", "prt/b.cpp": "using A = std::array<float, 3>;\n"}
-    right = [doubles(apart), *right_names()]
-    wrong = [doubles(same), doubles(alias), *wrong_made_up_names()]
+    suites = {"tests/a/x.cpp": "TEST(Part, One) {", "tests/a/y.cpp": "TEST_F(Part, Two) {",
+              "tests/b/x.cpp": "TEST_P(Other, One) {"}
+    right = [doubles(apart), shared_suites(suites), *right_names()]
+    suites |= {"tests/b/y.cpp": "TEST_F(Part, One) {"}
+    wrong = [doubles(same), doubles(alias), shared_suites(suites), *wrong_made_up_names()]
     out = [f"right case {i}: {lines}" for i, lines in enumerate(right) if lines]
     out += [f"wrong case {i}: {lines}" for i, lines in enumerate(wrong) if len(lines) != 1]
     return [f"self-test: {line}" for line in out]
@@ -421,7 +436,7 @@ def main(arguments):
                 for path in sorted((root / folder).rglob("*")) if path.suffix in kinds}
     sources = {path: text for room in ROOMS for path, text in texts(room, ".cpp", ".h").items()}
     pages = {path.removeprefix(REFERENCE): text for path, text in texts(REFERENCE, ".md").items()}
-    faults = self_test() + doubles(sources)
+    faults = self_test() + doubles(sources) + shared_suites(texts("tests", ".cpp"))
     faults += unless_moved(wrong_names, sources, pages, TABLES)
     faults += unless_moved(unmentioned, sources, pages, MENTIONED)
     with (root / "docs" / "accuracy.csv").open(encoding="utf-8") as table:

@@ -85,9 +85,9 @@ TEST(ClippedPixels, WhatACameraDoesNotSeeIsNotClipped) {
 }
 
 // The same picture through tables, and through the merge of 16 bit frames.
-class ClippedSun : public testing::TestWithParam<int> {};
+class ClippedDisc : public testing::TestWithParam<int> {};
 
-TEST_P(ClippedSun, IsListedAndNothingElse) {
+TEST_P(ClippedDisc, IsListedAndNothingElse) {
   const Image<Rgb> sky = make_sky_environment(256, 128, .7);
   CameraInfo camera;
   camera.name = "sky";
@@ -116,7 +116,7 @@ TEST_P(ClippedSun, IsListedAndNothingElse) {
   EXPECT_EQ(out.clipped, expected);
 }
 
-INSTANTIATE_TEST_SUITE_P(Bits, ClippedSun, testing::Values(8, 16));
+INSTANTIATE_TEST_SUITE_P(Bits, ClippedDisc, testing::Values(8, 16));
 
 }  // namespace
 }  // namespace penumbra::capture

@@ -237,7 +237,7 @@ TEST(PoseStream, RefusesAddressesThatAreNone) {
 
 // ---- The track. ----
 
-class TrackFile : public testing::Test {
+class PoseTrackFile : public testing::Test {
  protected:
   std::filesystem::path write(const std::string& text) const {
     const auto path = folder_.path() / "track.csv";
@@ -251,7 +251,7 @@ class TrackFile : public testing::Test {
   test::TempFolder folder_;
 };
 
-TEST_F(TrackFile, IsReadInNanosecondsAndInSeconds) {
+TEST_F(PoseTrackFile, IsReadInNanosecondsAndInSeconds) {
   const auto ns =
       read_pose_track(write("time_ns,tx,ty,tz,qx,qy,qz,qw\r\n"
                             "1700000000123456789,1,2,3,0,0,0,1\r\n"
@@ -264,7 +264,7 @@ TEST_F(TrackFile, IsReadInNanosecondsAndInSeconds) {
   EXPECT_EQ((*s)[0].time.value, 1'500'000'000);
 }
 
-TEST_F(TrackFile, IsRefusedWithItsLine) {
+TEST_F(PoseTrackFile, IsRefusedWithItsLine) {
   const std::string header = "time_ns,tx,ty,tz,qx,qy,qz,qw\n";
   EXPECT_THAT(why("time,x\n"), HasSubstr("track.csv:1: is neither the header"));
   EXPECT_THAT(why(header), HasSubstr("no pose"));
@@ -275,7 +275,7 @@ TEST_F(TrackFile, IsRefusedWithItsLine) {
   EXPECT_THAT(why(header + "1,0,0,0,0,0,0,1\n1,0,0,0,0,0,0,1\n"), HasSubstr("track.csv:3: is not"));
 }
 
-TEST_F(TrackFile, GivesTheBodysPoseWithItsOffset) {
+TEST_F(PoseTrackFile, GivesTheBodysPoseWithItsOffset) {
   std::string text = "time_ns,tx,ty,tz,qx,qy,qz,qw\n";
   for (int i = 0; i < 100; ++i)
     text += std::to_string(i * 10'000'000LL) + "," + std::to_string(.01 * i) + ",0,0,0,0,0,1\n";

@@ -228,7 +228,7 @@ void add_compare(CLI::App& parent, Action& action) {
   static CompareOptions compare_options;
   auto* c = parent.add_subcommand("compare",
                                   "Measure the difference between two pictures of the same size");
-  c->add_option("a", compare_options.a, "ReadPicture to judge")->required();
+  c->add_option("a", compare_options.a, "Picture to judge")->required();
   c->add_option("b", compare_options.b, "Reference picture")->required();
   c->add_option("--mask", compare_options.mask,
                 "Mask of the same size: pixels that are pure blue in it are left out");
