@@ -202,6 +202,42 @@ const Environment* LightEstimator::in_blocks(const Environment& environment) {
   return &in_blocks_;
 }
 
+std::vector<std::size_t> lights_apart(std::span<const DistantLight> lights) {
+  constexpr double kSmall = .05;  // radians
+  std::vector<std::size_t> out;
+  for (std::size_t i = 0; i < lights.size() && out.size() < kMaxLightsApart; ++i)
+    if (lights[i].shape.empty() && lights[i].radius.value() < kSmall) out.push_back(i);
+  return out;
+}
+
+void LightEstimator::mirror(const RoughnessRange& surfaces) {
+  mirror_.reset();
+  if (!surfaces.empty()) mirror_.emplace(surfaces);
+}
+
+// Lights that are mirrored apart are cut down to what surrounds them, as the residual is.
+void LightEstimator::find_reflections(const Environment& environment, bool split,
+                                      LightEstimate& out) {
+  if (!mirror_) return;
+  mirrored_map_ = environment.radiance;
+  const int width = mirrored_map_.width(), height = mirrored_map_.height();
+  for (const std::size_t i : lights_apart(out.lights)) {
+    if (!split) break;
+    const DistantLight& light = out.lights[i];
+    const double reach = 2 * light.radius.value() + 2 * kPi / height;
+    for (int y = 0; y < height; ++y) {
+      if (std::abs(std::acos(light.direction.y) - kPi * (y + .5) / height) > reach) continue;
+      for (int x = 0; x < width; ++x)
+        if (glm::dot(latlong_direction(x + .5, y + .5, width, height), light.direction) >
+            std::cos(reach))
+          mirrored_map_.at(x, y) = extraction_.residual.at(x, y);
+    }
+  }
+  auto map = std::make_shared<ReflectionMap>();
+  mirror_->filter(mirrored_map_, environment.confidence, out.light, *map);
+  out.reflections = std::move(map);
+}
+
 Result<void> LightEstimator::estimate(const Environment& whole_map, LightEstimate& out) {
   if (whole_map.radiance.empty()) return fail(ErrorCode::kInvalid, "environment", "has no pixels");
   const Environment* const blocks = in_blocks(whole_map);
@@ -233,6 +269,7 @@ Result<void> LightEstimator::estimate(const Environment& whole_map, LightEstimat
   }
   out.time = environment.time;
   out.clipped_fraction = environment.clipped_fraction;
+  find_reflections(environment, !without_lights && options_.lights.max_count > 0, out);
   return {};
 }
 

@@ -53,6 +53,8 @@ class LightEstimator {
   /// As Governor::allow_lights; nothing without a governor. With none the map is split only now and
   /// then, for the prediction, unless something in it is clipped.
   void allow_lights(int max_count);
+  /// From now on estimates say what surfaces of these roughnesses mirror.
+  void mirror(const RoughnessRange& surfaces);
   /// in:  radiance 0 where the confidence is 0
   /// out: keeps its memory; as it was after an error
   Result<void> estimate(const Environment& environment, LightEstimate& out);
@@ -82,6 +84,7 @@ class LightEstimator {
   void choose_max_lights();
   Result<ShProjection> measure_whole(const Environment& environment);
   Result<ShProjection> measure_split(const Environment& environment);
+  void find_reflections(const Environment& environment, bool split, LightEstimate& out);
 
   std::unique_ptr<class ShInpainting> inpainting_;  // of the newest map; null without holes
   EstimateOptions options_;
@@ -111,7 +114,9 @@ class LightEstimator {
     }
   };
   std::array<SizedProjector, 2> projectors_;  // of a map as it is, and in blocks
-  LatLongProjector* projector_ = nullptr;     // of them, which the newest map was read by
+  std::optional<ReflectionFilter> mirror_;
+  Image<Rgb> mirrored_map_;                // scratch
+  LatLongProjector* projector_ = nullptr;  // of them, which the newest map was read by
 };
 
 /// The light of one map of which a part was not seen, on nine bands.

@@ -2,7 +2,9 @@
 // threads: plain values
 #pragma once
 
+#include <memory>
 #include <optional>
+#include <span>
 #include <vector>
 
 #include "core/image.h"
@@ -10,6 +12,7 @@
 #include "core/units.h"
 #include "lighting/governor.h"
 #include "lighting/lights/distant_light.h"
+#include "lighting/reflections/reflection_map.h"
 #include "lighting/sh/projection.h"
 
 #pragma GCC visibility push(default)
@@ -30,9 +33,17 @@ struct LightEstimate {
   /// relative to the mean irradiance; from the bands up to 9 that were measured, so none for 9.
   std::optional<double> truncation_error;
   std::optional<Plan> plan;  // of a governed estimator
+  /// What surfaces mirror, but for the lights that lights_apart() names; null where none was asked
+  /// for (LightEstimator::mirror).
+  std::shared_ptr<const ReflectionMap> reflections{};
 
   Seconds age(TimestampNs now) const { return now - time; }
 };
+
+/// The lights, by their places in the list, that a mirror shows as discs: the first few of those
+/// that are small and round. All others it shows as the map does.
+inline constexpr std::size_t kMaxLightsApart = 4;
+std::vector<std::size_t> lights_apart(std::span<const DistantLight> lights);
 
 }  // namespace penumbra::lighting
 #pragma GCC visibility pop

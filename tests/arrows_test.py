@@ -17,7 +17,7 @@ from pathlib import Path
 # From the bottom to the top.
 ROOMS = """core core/threads core/io codec codec/tone calib/camera calib/import calib/estimate calib/track
 capture capture/poses capture/hdr capture/watch capture/ring capture/environment capture/studio
-capture/recording capture/device lighting/sh lighting/lights lighting
+capture/recording capture/device lighting/sh lighting/lights lighting/reflections lighting
 prt/geometry prt/rays prt/transfer prt/bake prt/clip prt/reference
 shadows/silhouette shadows/field shadows/visibility
 compositor compositor/layers compositor/pixels compositor/composite

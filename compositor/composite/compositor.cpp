@@ -162,6 +162,16 @@ void Compositor::set_light(int object, std::span<const float> relit,
     impl_->receivers.set_shadow(r, shadow, of_open);
 }
 
+void Compositor::set_surroundings(const Surroundings& surroundings) {
+  impl_->context->make_current();
+  impl_->layers->set_surroundings(surroundings);
+}
+
+void Compositor::set_light_shares(int object, std::span<const std::array<float, 4>> shares) {
+  impl_->context->make_current();
+  impl_->layers->set_light_shares(object, shares);
+}
+
 void Compositor::add_real_receiver(const prt::GroundGrid& grid, const Pose& world_from_grid) {
   impl_->receivers.add_real(grid, world_from_grid);
 }

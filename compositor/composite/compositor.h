@@ -5,6 +5,7 @@
 // threads: Compositor thread-bound, to the one that made it; VideoWriter thread-bound
 #pragma once
 
+#include <array>
 #include <cstdint>
 #include <filesystem>
 #include <functional>
@@ -14,6 +15,7 @@
 #include <vector>
 
 #include "compositor/composite_stats.h"
+#include "compositor/surroundings.h"
 #include "compositor/view.h"
 #include "core/image.h"
 #include "core/pose.h"
@@ -74,6 +76,11 @@ class Compositor {
   /// where real things keep some of it from the object.
   void set_light(int object, std::span<const float> relit, const shadows::PlanarShadow& shadow,
                  const Rgb& of_open = {1, 1, 1});
+  /// What objects with materials (prt::BakedObject::surface) mirror from now on.
+  void set_surroundings(const Surroundings& surroundings);
+  /// What of each of Surroundings::lights comes to an object's vertices, 0..1; 1 at first, and for
+  /// those that are not told.
+  void set_light_shares(int object, std::span<const std::array<float, 4>> shares);
 
   /// Ways in for real things:
   ///   add_plane          a plane: hides objects; a shadow is seen where its plane is the nearest

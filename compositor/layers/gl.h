@@ -63,6 +63,12 @@ inline void make_renderbuffer(GLuint& n) {
 inline void delete_renderbuffer(GLuint n) {
   glDeleteRenderbuffers(1, &n);
 }
+inline void make_sampler(GLuint& n) {
+  glGenSamplers(1, &n);
+}
+inline void delete_sampler(GLuint n) {
+  glDeleteSamplers(1, &n);
+}
 inline void make_program(GLuint& n) {
   n = glCreateProgram();
 }
@@ -76,6 +82,7 @@ using GlTexture = GlName<gl::make_texture, gl::delete_texture>;
 using GlVertexArray = GlName<gl::make_vertex_array, gl::delete_vertex_array>;
 using GlFramebuffer = GlName<gl::make_framebuffer, gl::delete_framebuffer>;
 using GlRenderbuffer = GlName<gl::make_renderbuffer, gl::delete_renderbuffer>;
+using GlSampler = GlName<gl::make_sampler, gl::delete_sampler>;
 using GlProgram = GlName<gl::make_program, gl::delete_program>;
 
 /// Compiles and links.

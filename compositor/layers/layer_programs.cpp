@@ -5,6 +5,8 @@
 #include <glm/gtc/type_ptr.hpp>
 #include <string>
 
+#include "compositor/layers/glossy_program.h"
+
 namespace penumbra::compositor {
 
 namespace {
@@ -177,7 +179,8 @@ Result<LayerPrograms::Programs> LayerPrograms::make(bool lens, bool cut) {
   PENUMBRA_ASSIGN(object, one(kObjectVertex, kObjectFragment));
   PENUMBRA_ASSIGN(textured, one(kTexturedVertex, kTexturedFragment));
   PENUMBRA_ASSIGN(real_mesh, one(kRealMeshVertex, kRealMeshFragment));
-  return Programs{std::move(object), std::move(textured), std::move(real_mesh)};
+  PENUMBRA_ASSIGN(glossy, one(kGlossyVertex, kGlossyFragment));
+  return Programs{std::move(object), std::move(textured), std::move(real_mesh), std::move(glossy)};
 }
 
 Result<LayerPrograms> LayerPrograms::create() {

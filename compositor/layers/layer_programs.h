@@ -18,7 +18,7 @@ namespace penumbra::compositor {
 
 class LayerPrograms {
  public:
-  enum class LayerDrawing { kObject, kTexturedObject, kRealMesh };
+  enum class LayerDrawing { kObject, kTexturedObject, kRealMesh, kGlossyObject };
 
   static Result<LayerPrograms> create();
 
@@ -37,7 +37,7 @@ class LayerPrograms {
   void set_hiding_planes(GLuint program, std::span<const glm::dvec4> planes) const;
 
  private:
-  using Programs = std::array<GlProgram, 3>;  // by LayerDrawing
+  using Programs = std::array<GlProgram, 4>;  // by LayerDrawing
   struct LensTable {
     std::shared_ptr<const ViewLens> lens;
     GlTexture radius{};

@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <functional>
 
 #include "prt/clip/light_map.h"
 
@@ -153,7 +154,7 @@ Layers::Middles Layers::refine(prt::Mesh& mesh) const {
 
 int Layers::add_object(const prt::BakedObject& baked, const Appearance& appearance) {
   const prt::Bounds bounds = bounds_of(baked.mesh);
-  const bool pictures = appearance.texture || !appearance.texels.empty();
+  const bool pictures = appearance.texture || !appearance.texels.empty() || baked.surface;
   prt::Mesh mesh = baked.mesh;
   Middles middles = refine(mesh);
   DrawnObject o{.middles = std::move(middles),
@@ -164,10 +165,8 @@ int Layers::add_object(const prt::BakedObject& baked, const Appearance& appearan
                 .stride = baked.transfer.stride,
                 .bounds = bounds,
                 .area_m2 = area_m2(mesh)};
-  if (!fine_ && !pictures) {
-    o.contour.emplace(mesh);
-    o.positions = mesh.positions;
-  }
+  if (!fine_ && !pictures) o.contour.emplace(mesh);
+  if (o.contour || baked.surface) o.positions = mesh.positions;
   glBindVertexArray(o.geometry.get());
   glBindBuffer(GL_ARRAY_BUFFER, o.vertices.get());
   glBufferData(GL_ARRAY_BUFFER, bytes_of(mesh.positions), mesh.positions.data(), GL_STATIC_DRAW);
@@ -175,10 +174,16 @@ int Layers::add_object(const prt::BakedObject& baked, const Appearance& appearan
   glBindBuffer(GL_ARRAY_BUFFER, o.light.get());
   glBufferData(GL_ARRAY_BUFFER, bytes_of(o.colours), o.colours.data(), GL_DYNAMIC_DRAW);
   attribute(1, 3, 0);
+  if (baked.surface) {
+    if (!glossy_) glossy_.emplace();
+    if (surroundings_) glossy_->set_surroundings(*surroundings_);
+    o.glossy = glossy_->add(baked, mesh, o.middles, o.triangles);
+    o.albedo.assign(baked.mesh.positions.size(), Rgb{1, 1, 1});
+  }
   glBindBuffer(GL_ELEMENT_ARRAY_BUFFER, o.indices.get());
   glBufferData(GL_ELEMENT_ARRAY_BUFFER, bytes_of(o.triangles), o.triangles.data(), GL_STATIC_DRAW);
   o.index_count = static_cast<GLsizei>(3 * o.triangles.size());
-  add_pictures(o, baked, appearance);
+  if (!baked.surface) add_pictures(o, baked, appearance);
   glBindVertexArray(0);
   objects_.push_back(std::move(o));
   drawn_.reset();
@@ -188,7 +193,7 @@ int Layers::add_object(const prt::BakedObject& baked, const Appearance& appearan
 void Layers::update_vertices(int object, const prt::Mesh& mesh) {
   DrawnObject& o = objects_[static_cast<std::size_t>(object)];
   o.bounds = bounds_of(mesh);
-  const bool keeps = o.contour || !o.middles.empty();
+  const bool keeps = o.contour || o.glossy || !o.middles.empty();
   if (keeps) {
     o.positions = mesh.positions;
     extend(o.positions, o.middles);
@@ -360,9 +365,25 @@ void Layers::bind_pictures(const DrawnObject& o, GLuint program) const {
   glUniform1i(glGetUniformLocation(program, "light_map"), 1);
 }
 
+void Layers::set_surroundings(const Surroundings& surroundings) {
+  surroundings_ = surroundings;
+  if (!glossy_) return;
+  glossy_->set_surroundings(surroundings);
+  for (DrawnObject& o : objects_) o.changed |= o.glossy.has_value();
+}
+
+void Layers::set_light_shares(int object, std::span<const std::array<float, 4>> shares) {
+  DrawnObject& o = objects_[static_cast<std::size_t>(object)];
+  if (!o.glossy) return;
+  Glossy::set_shares(*o.glossy, shares, o.middles);
+  o.changed = true;
+}
+
 GLuint Layers::use_program(const View& view, const ViewProjection& from_world,
                            const DrawnObject& o) const {
-  const LayerDrawing drawing = o.albedo_map ? LayerDrawing::kTexturedObject : LayerDrawing::kObject;
+  const LayerDrawing drawing = o.glossy       ? LayerDrawing::kGlossyObject
+                               : o.albedo_map ? LayerDrawing::kTexturedObject
+                                              : LayerDrawing::kObject;
   const ViewProjection from_object = from_world.of(o.world_from_bake);
   const std::vector<glm::dvec4> planes =
       view.lens ? hiding_planes(o, view.camera) : std::vector<glm::dvec4>();
@@ -375,7 +396,7 @@ GLuint Layers::use_program(const View& view, const ViewProjection& from_world,
 void Layers::draw_objects(const View& view, const ViewProjection& from_world, const Rect& region,
                           bool seen_alone) {
   for (DrawnObject& o : objects_) {
-    if (!o.visible || !meet(reach_of(o, from_world), region)) continue;
+    if (o.glossy || !o.visible || !meet(reach_of(o, from_world), region)) continue;
     const GLuint program = use_program(view, from_world, o);
     glUniform1f(glGetUniformLocation(program, "signal_per_radiance"), view.signal_per_radiance);
     if (o.albedo_map) bind_pictures(o, program);
@@ -385,6 +406,30 @@ void Layers::draw_objects(const View& view, const ViewProjection& from_world, co
     glDrawElements(GL_TRIANGLES, seen_alone ? o.seen_count : o.index_count, GL_UNSIGNED_INT,
                    nullptr);
     glDisable(GL_CULL_FACE);
+  }
+}
+
+// Farthest objects first, so that what is blended lies over what is behind it.
+void Layers::draw_glossy(const View& view, const ViewProjection& from_world, const Rect& region,
+                         bool blended) {
+  const glm::dvec3& eye = view.camera.world_from_camera.translation;
+  std::vector<DrawnObject*> order;
+  for (DrawnObject& o : objects_)
+    if (o.glossy && o.visible && meet(reach_of(o, from_world), region)) order.push_back(&o);
+  std::ranges::sort(order, std::greater(),
+                    [&](const DrawnObject* o) { return distance_to_box(*o, eye); });
+  for (DrawnObject* const o : order) {
+    if (blended && std::ranges::none_of(o->glossy->parts, [&](const GlossyObject::Part& p) {
+          return o->glossy->is_blended(p);
+        }))
+      continue;
+    const GLuint program = use_program(view, from_world, *o);
+    glUniform1f(glGetUniformLocation(program, "signal_per_radiance"), view.signal_per_radiance);
+    glBindVertexArray(o->geometry.get());
+    glossy_->draw(*o->glossy, program,
+                  {o->world_from_bake, eye, fronts_only(*o, eye), o->indices.get(), o->triangles,
+                   o->positions},
+                  blended);
   }
 }
 
@@ -424,6 +469,7 @@ Result<void> Layers::draw_on(Canvas& canvas, const View& view, const ViewProject
   if (!view.lens) draw_hiding_planes(view.camera.world_from_camera.translation, from_world);
   glColorMask(GL_TRUE, GL_TRUE, GL_TRUE, GL_TRUE);
   draw_objects(view, from_world, out.rect, &canvas == &plain_canvas_);
+  for (const bool blended : {false, true}) draw_glossy(view, from_world, out.rect, blended);
   canvas.finish(out);
   return {};
 }

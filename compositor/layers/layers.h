@@ -10,6 +10,7 @@
 #include "compositor/layers/canvas.h"
 #include "compositor/layers/contour.h"
 #include "compositor/layers/gl.h"
+#include "compositor/layers/glossy.h"
 #include "compositor/layers/layer_programs.h"
 #include "compositor/projection.h"
 #include "compositor/view.h"
@@ -30,6 +31,9 @@ class Layers {
   void set_pose(int object, const Pose& world_from_bake);
   void show(int object, bool visible);
   void set_light(int object, std::span<const float> relit);
+  /// As of Compositor.
+  void set_surroundings(const Surroundings& surroundings);
+  void set_light_shares(int object, std::span<const std::array<float, 4>> shares);
   int add_occluder(const prt::Mesh& mesh);
   /// Shadow ratios at the vertices of real geometry.
   void set_ratios(int occluder, std::span<const Rgb> ratios);
@@ -48,7 +52,7 @@ class Layers {
 
  private:
   // Vertices that a lens takes beyond a mesh's own, each in the middle of two earlier ones.
-  using Middles = std::vector<std::array<std::uint32_t, 2>>;
+  using Middles = EdgeMiddles;
   template <class Value>
   static void extend(std::vector<Value>& values, const Middles& middles) {
     for (const auto& [a, b] : middles) values.push_back((values[a] + values[b]) * .5f);
@@ -66,6 +70,7 @@ class Layers {
     GlBuffer vertices{}, indices{}, seen{}, light{}, texture_coordinates{}, light_coordinates{};
     std::optional<GlTexture> albedo_map{};  // with a light map white where there is none
     std::optional<LightMap> light_map{};
+    std::optional<GlossyObject> glossy{};
     std::vector<std::array<std::uint32_t, 3>> triangles;
     bool closed;
     // Of what one sample a pixel may do for, and the vertices in their present form.
@@ -138,6 +143,8 @@ class Layers {
   void draw_objects(const View& view, const ViewProjection& from_world, const Rect& region,
                     bool seen_alone);
   void bind_pictures(const DrawnObject& object, GLuint program) const;
+  void draw_glossy(const View& view, const ViewProjection& from_world, const Rect& region,
+                   bool blended);
   Result<bool> draw_layer_of_objects(const View& view, const ViewProjection& from_world,
                                      Layer& out);
   Result<bool> redraw_changed(const View& view, CommonLayer& objects);
@@ -162,7 +169,9 @@ class Layers {
   Canvas objects_canvas_, plain_canvas_, hidden_canvas_;
   LayerPrograms programs_;
   double max_edge_m_ = std::numeric_limits<double>::infinity();
-  GlTexture white_;  // of one texel
+  GlTexture white_;               // of one texel
+  std::optional<Glossy> glossy_;  // once something has materials
+  std::optional<Surroundings> surroundings_;
   std::vector<DrawnObject> objects_;
   std::vector<Occluder> occluders_;
   std::vector<DrawnPlane> planes_;

@@ -7,11 +7,13 @@
 #include <cstdint>
 #include <functional>
 #include <glm/mat3x3.hpp>
+#include <memory>
 #include <optional>
 #include <span>
 #include <vector>
 
 #include "core/result.h"
+#include "prt/geometry/material.h"
 #include "prt/geometry/mesh.h"
 #include "prt/geometry/receiver.h"
 #include "prt/transfer/transfer.h"
@@ -83,6 +85,8 @@ struct BakedObject {
   Transfer shadow_probes;
   /// Of the mesh alone: what the receiver hides counts as open.
   VisibilityMap visibility;
+  /// Materials of the mesh, for whoever draws it; null where its albedo is all.
+  std::shared_ptr<const SurfaceMaterials> surface{};
   BakeReport report;
 };
 

@@ -8,7 +8,9 @@
 #include <filesystem>
 #include <glm/mat4x4.hpp>
 #include <glm/vec3.hpp>
+#include <memory>
 #include <span>
+#include <string>
 #include <vector>
 
 #include "core/image.h"
@@ -55,9 +57,14 @@ Mesh make_box(const glm::vec3& low, const glm::vec3& high, int n, Rgb albedo);
 /// (2, 3) torus knot resting on y = 0: the shape of the built-in demo.
 Mesh make_knot(float height, int segments, int sides, Rgb albedo);
 
+struct SurfaceMaterials;
+
 struct Import {
   Mesh mesh;
   std::size_t degenerate_triangles = 0;  // removed
+  // What the file says of the surface beyond an albedo (material.h); null: nothing
+  std::shared_ptr<const SurfaceMaterials> surface{};
+  std::vector<std::string> left_out{};  // of the file, a line each
 };
 /// glTF (.gltf, .glb), OBJ, PLY, STL, FBX or COLLADA, at rest pose; normals are made where absent.
 /// Materials give the albedo, `default_albedo` where there is none.

@@ -375,6 +375,19 @@ void DirectLightStage::add_light(std::size_t object, std::span<float> relit) con
   }
 }
 
+void DirectLightStage::visible_shares(std::size_t source, std::size_t object,
+                                      std::span<float> out) const {
+  constexpr float kGrazing = .02f;  // of a surface that looks away there is nothing to compare
+  const TracedLight& t = traced_[source];
+  const std::vector<float>& cosine = t.cosine[object];
+  const std::vector<glm::vec3>& normals = scene_->objects[object].baked.mesh.normals;
+  const glm::vec3 towards(glm::conjugate(poses_[object].rotation) * t.source.direction);
+  for (std::size_t v = 0; v < std::min(out.size(), cosine.size()); ++v) {
+    const float open = glm::dot(normals[v], towards);
+    out[v] = open > kGrazing ? std::clamp(cosine[v] / open, 0.f, 1.f) : 1;
+  }
+}
+
 DirectLightStage::AtVertices DirectLightStage::at_vertices(const prt::Mesh& mesh) const {
   const std::size_t count = mesh.positions.size();
   AtVertices out{std::vector<Rgb>(count), std::vector<Rgb>(count), std::vector<Rgb>(count)};

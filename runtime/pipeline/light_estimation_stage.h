@@ -41,6 +41,8 @@ class LightEstimationStage {
   void set_governor(const lighting::GovernorConfig& governor_config) {
     estimator_.set_governor(governor_config);
   }
+  /// As LightEstimator::mirror.
+  void mirror(const lighting::RoughnessRange& surfaces) { estimator_.mirror(surfaces); }
   void allow_lights(int max_count) { estimator_.allow_lights(max_count); }
   /// The time of the light is that of its stalest camera.
   /// errors: as HdrRing::add and capture::camera_regions (kUndetermined is an ordinary state: all

@@ -78,6 +78,7 @@ struct Pipeline::Impl {
   std::mutex light_mutex;
   lighting::LightEstimate newest_light;  // guarded by light_mutex
   Latest<lighting::GovernorConfig> next_governor;
+  Latest<lighting::RoughnessRange> next_mirror;  // of the scene that comes next
   std::mutex governor_mutex;
   lighting::GovernorConfig governor;  // the newest; guarded by governor_mutex
 
@@ -201,6 +202,7 @@ Result<Pipeline> Pipeline::create(const std::vector<capture::CameraInfo>& camera
     PENUMBRA_ASSIGN(config, impl->make_governor(*impl->scene));
     impl->governor = config;
     light.set_governor(config);
+    light.mirror(runtime::mirrored_roughness(*impl->scene));
     impl->light.emplace(std::move(light));
   }
   const auto composite_on = [&](Compositor::Surface surface) {
@@ -228,6 +230,7 @@ bool Pipeline::shows_surroundings(int camera) const {
 Result<bool> Pipeline::add_environment(const capture::Frame& frame) {
   if (!impl_->light) return std::unexpected(no_environment_camera());
   if (const auto governor = impl_->next_governor.take()) impl_->light->set_governor(*governor);
+  if (const auto mirrored = impl_->next_mirror.take()) impl_->light->mirror(*mirrored);
   PENUMBRA_TRY(impl_->check(frame));
   if (!impl_->light->takes(frame.camera))
     return fail(ErrorCode::kInvalid, "frame",
@@ -305,8 +308,10 @@ Result<void> Pipeline::change_scene(runtime::PreparedScene scene) {
     PENUMBRA_ASSIGN(made, impl_->make_governor(scene));
     config = made;
   }
+  const lighting::RoughnessRange mirrored = runtime::mirrored_roughness(scene);
   PENUMBRA_ASSIGN(next,
                   impl_->prepare_next(std::make_shared<runtime::PreparedScene>(std::move(scene))));
+  impl_->next_mirror.put(mirrored);
   if (config) {
     const std::scoped_lock lock(impl_->governor_mutex);
     config->limits.max_error = impl_->governor.limits.max_error;
@@ -357,6 +362,7 @@ Result<runtime::RunCounts> Pipeline::run_live(capture::FrameSource& source,
   changes.stage_waits = [this] { return impl_->next_stage.waiting(); };
   changes.take_stage = [this] { return impl_->take_next_stage(); };
   changes.take_governor = [this] { return impl_->next_governor.take(); };
+  changes.take_mirror = [this] { return impl_->next_mirror.take(); };
   changes.on_light = [this](const auto& stage, const auto& light) {
     {
       const std::scoped_lock lock(impl_->light_mutex);

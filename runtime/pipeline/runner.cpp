@@ -278,6 +278,8 @@ void measure(Live& live, LightEstimationStage& light, const LiveChanges& changes
       if (const auto recoveries = live.recoveries.take()) light.add_recoveries(*recoveries);
       if (changes.take_governor)
         if (const auto governor = changes.take_governor()) light.set_governor(*governor);
+      if (changes.take_mirror)
+        if (const auto mirrored = changes.take_mirror()) light.mirror(*mirrored);
       light.allow_lights(live.affordable_lights);
       auto estimate = light.process(*frame);
       if (estimate) {

@@ -92,6 +92,14 @@ const prt::Plane* plane_below(const SceneObject& o, const prt::Mesh& mesh,
   return plane_under(planes, bounds_of(in_world));
 }
 
+std::shared_ptr<const prt::SurfaceMaterials> turned(
+    const std::shared_ptr<const prt::SurfaceMaterials>& surface, const glm::mat3& turn) {
+  if (!surface || surface->tangents.empty()) return surface;
+  auto out = std::make_shared<prt::SurfaceMaterials>(*surface);
+  for (glm::vec4& t : out->tangents) t = glm::vec4(turn * glm::vec3(t), t.w);
+  return out;
+}
+
 Result<PreparedObject> prepare_object(const SceneObject& o, const PreparedScene& scene,
                                       const BakeSettings& settings, AssetBakes& bakes,
                                       const std::function<void(double)>& progress) {
@@ -99,11 +107,14 @@ Result<PreparedObject> prepare_object(const SceneObject& o, const PreparedScene&
   if (!o.asset.starts_with("builtin:") && prt::is_baked_file(o.asset))
     return place_baked(o,
                        plane_under(scene.planes, {glm::vec3(o.position), glm::vec3(o.position)}));
-  PENUMBRA_ASSIGN(mesh, load_asset(o.asset, o.albedo, settings.max_edge_fraction));
+  PENUMBRA_ASSIGN(asset, load_asset(o.asset, o.albedo, settings.max_edge_fraction));
+  auto& [mesh, surface] = asset;
   const prt::Plane* const plane = plane_below(o, mesh, scene.planes);
   const Standing standing = standing_of(o, mesh, plane);
-  if (standing.tilt != glm::dquat(1, 0, 0, 0))
+  if (standing.tilt != glm::dquat(1, 0, 0, 0)) {
     prt::transform(mesh, glm::dmat4(glm::mat3_cast(standing.tilt)));
+    surface = turned(surface, glm::mat3_cast(glm::quat(standing.tilt)));
+  }
   prt::BakeOptions options;
   options.bands = settings.bands;
   options.bounces = settings.bounces;
@@ -115,6 +126,7 @@ Result<PreparedObject> prepare_object(const SceneObject& o, const PreparedScene&
   if (plane) options.receiver = prt::Receiver{prt::fit_ground_grid(mesh, standing.height), {}};
   PENUMBRA_ASSIGN(baked,
                   bakes.get(o.name, std::move(mesh), options, plane ? plane->albedo : Rgb{}));
+  baked.surface = surface;
   put_in_place(baked, standing.scale, standing.shift);
   return PreparedObject{o.name, std::move(baked), standing.world_from_bake, o.spin_rpm, nullptr};
 }
@@ -156,8 +168,31 @@ Pose PreparedObject::pose_at(double seconds) const {
   return world_from_bake * Pose{glm::angleAxis(turn, glm::dvec3(0, 1, 0)), {0, 0, 0}};
 }
 
-Result<prt::Mesh> load_asset(const std::string& asset, Rgb albedo, float edge_fraction) {
-  prt::Mesh mesh;
+namespace {
+
+void add_roughness(const prt::Material& m, lighting::RoughnessRange& range) {
+  if (m.unlit) return;
+  if (m.clearcoat > 0) range.add(m.clearcoat_roughness);
+  if (!m.metallic_roughness_map) return range.add(m.roughness);
+  const auto codes = m.metallic_roughness_map.picture->codes.pixels();
+  const auto [low, high] = std::ranges::minmax(codes, {}, &prt::Rgba8::g);
+  range.add(m.roughness * static_cast<float>(low.g) / 255);
+  range.add(m.roughness * static_cast<float>(high.g) / 255);
+}
+
+}  // namespace
+
+lighting::RoughnessRange mirrored_roughness(const PreparedScene& scene) {
+  lighting::RoughnessRange out;
+  for (const PreparedObject& o : scene.objects)
+    if (o.baked.surface)
+      for (const prt::Material& m : o.baked.surface->materials) add_roughness(m, out);
+  return out;
+}
+
+Result<LoadedAsset> load_asset(const std::string& asset, Rgb albedo, float edge_fraction) {
+  LoadedAsset out;
+  prt::Mesh& mesh = out.mesh;
   const int subdivision =
       edge_fraction > .05f ? 1 : 2;  // of shapes that are made as finely as asked
   if (asset.empty()) return fail(ErrorCode::kInvalid, "asset", "is an empty name");
@@ -166,8 +201,8 @@ Result<prt::Mesh> load_asset(const std::string& asset, Rgb albedo, float edge_fr
   } else if (asset == "builtin:twist") {
     mesh = make_twist(14 * subdivision, albedo);
   } else if (asset == "builtin:ball") {
-    return prt::make_sphere({0, .2f, 0}, .2f, 3 + subdivision,
-                            albedo);  // cut edges leave the sphere
+    mesh = prt::make_sphere({0, .2f, 0}, .2f, 3 + subdivision, albedo);
+    return out;  // cut edges leave the sphere
   } else if (asset == "builtin:box") {
     mesh = prt::make_box({-.17f, 0, -.13f}, {.17f, .4f, .13f}, 1, albedo);
   } else if (asset == "builtin:walker") {
@@ -181,10 +216,17 @@ Result<prt::Mesh> load_asset(const std::string& asset, Rgb albedo, float edge_fr
     PENUMBRA_ASSIGN(imported, prt::import_mesh(asset, albedo));
     if (imported.degenerate_triangles > 0)
       log_warning("{}: {} degenerate triangles are left out", asset, imported.degenerate_triangles);
+    for (const std::string& line : imported.left_out) log_warning("{}: {}", asset, line);
     mesh = std::move(imported.mesh);
+    out.surface = std::move(imported.surface);
   }
-  if (edge_fraction > 0) prt::subdivide(mesh, edge_fraction * prt::radius_of(mesh));
-  return mesh;
+  if (!(edge_fraction > 0)) return out;
+  const auto middles = prt::subdivide(mesh, edge_fraction * prt::radius_of(mesh));
+  if (!out.surface) return out;
+  auto fine = std::make_shared<prt::SurfaceMaterials>(*out.surface);
+  fine->extend(middles);
+  out.surface = std::move(fine);
+  return out;
 }
 
 namespace {
@@ -239,8 +281,14 @@ Result<PreparedScene> prepare(
       continue;
     }
     const Rgb albedo = real.albedo.value_or(Rgb{.5f, .5f, .5f});
-    PENUMBRA_ASSIGN(mesh, real.depth.empty() ? load_asset(real.mesh, albedo, 0)
-                                             : read_depth_mesh(real.depth, real.camera, albedo));
+    prt::Mesh mesh;
+    if (real.depth.empty()) {
+      PENUMBRA_ASSIGN(asset, load_asset(real.mesh, albedo, 0));
+      mesh = std::move(asset.mesh);
+    } else {
+      PENUMBRA_ASSIGN(seen, read_depth_mesh(real.depth, real.camera, albedo));
+      mesh = std::move(seen);
+    }
     if (real.depth.empty()) prt::transform(mesh, world_from_mesh(real, mesh));
     append(out.real_mesh, mesh);
   }

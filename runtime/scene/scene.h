@@ -14,11 +14,13 @@
 
 #include "core/result.h"
 #include "lighting/lights/sun.h"
+#include "lighting/reflections/reflection_map.h"
 #include "prt/bake/bake.h"
 #include "prt/clip/light_map.h"
 #include "prt/clip/live_bake.h"
 #include "prt/clip/sequence.h"
 #include "prt/geometry/animation.h"
+#include "prt/geometry/material.h"
 #include "prt/geometry/mesh.h"
 #include "prt/geometry/plane.h"
 #include "shadows/visibility/lamp.h"
@@ -200,6 +202,9 @@ Result<PreparedScene> prepare(
     const Scene& scene, const BakeSettings& settings,
     const std::function<std::function<void(double)>(const std::string&)>& progress);
 
+/// Roughnesses of all surfaces with materials; empty without any.
+lighting::RoughnessRange mirrored_roughness(const PreparedScene& scene);
+
 /// From the mesh's frame to the world. With fit_size_m the mesh, turned as it is, touches the floor
 /// of normal `up` through the position.
 glm::dmat4 world_from_mesh(const Placement& placement, const prt::Mesh& mesh,
@@ -211,7 +216,11 @@ glm::dvec3 floor_normal(const std::vector<prt::Plane>& planes, const glm::dvec3&
 /// An asset in its own frame, or a built-in one. `edge_fraction`: longest edge after subdivision,
 /// as a fraction of the bounding radius (vertex transfer needs short edges); 0 leaves the mesh.
 /// Above .05 the built-in knot and twist have a quarter of their vertices.
-Result<prt::Mesh> load_asset(const std::string& asset, Rgb albedo, float edge_fraction);
+struct LoadedAsset {
+  prt::Mesh mesh;
+  std::shared_ptr<const prt::SurfaceMaterials> surface{};  // null: its albedo is all
+};
+Result<LoadedAsset> load_asset(const std::string& asset, Rgb albedo, float edge_fraction);
 
 /// All meshes of a scene that are visible from the start, in the world frame at a time, for the
 /// reference.

@@ -136,6 +136,7 @@ Result<std::unique_ptr<CompositeStage>> CompositeStage::create(
     StageObject& object = stage->objects_.emplace_back();
     object.prepared = &o;
     object.handle = handle;
+    stage->handles_.push_back(handle);
     object.relit.resize(3 * o.baked.transfer.stride);
     if (!o.animation) object.bases = stage->bases_of(o.baked);
   }
@@ -159,6 +160,7 @@ CompositeStage::CompositeStage(std::unique_ptr<compositor::Compositor> composito
       gathered_(scene),
       ground_probes_(scene),
       planes_(scene),
+      mirrored_(scene),
       times_(times) {}
 
 std::shared_ptr<const RelightBases> CompositeStage::bases_of(const prt::BakedObject& baked) const {
@@ -250,6 +252,10 @@ bool CompositeStage::shade(const lighting::LightEstimate& light, double seconds)
   planes_.update(light);
   floor_radiance_ = radiance_of_floor(scene_, planes_.irradiance());
   bool lights_changed = update_distant_lights(light), lamps_changed = false;
+  if (mirrored_.any()) {
+    const StageTimer timer(times_, "reflections");
+    mirrored_.update(light, lights_, handles_, *compositor_);
+  }
   if (lamps_.any()) {
     const StageTimer timer(times_, "lamps");
     lamps_changed = lamps_.update(lights_.occluders(), poses_, other_form);

@@ -31,6 +31,7 @@
 #include "runtime/scene/scene.h"
 #include "runtime/shading/composited.h"
 #include "runtime/shading/floor_recovery.h"
+#include "runtime/shading/mirrored_surroundings.h"
 #include "runtime/shading/object_moves.h"
 #include "runtime/surroundings/ground_probes.h"
 #include "runtime/surroundings/irradiance_cache.h"
@@ -256,6 +257,8 @@ class CompositeStage {
   IrradianceCache gathered_;
   GroundProbes ground_probes_;
   OpenPlanes planes_;
+  MirroredSurroundings mirrored_;
+  std::vector<int> handles_;               // of the objects, in the compositor
   std::optional<PlaneLight> plane_light_;  // of this update
   std::vector<Rgb> of_points_, lost_;      // scratch
   std::vector<Rgb> real_ratios_;           // at its vertices, as last shown

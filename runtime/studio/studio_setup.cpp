@@ -33,7 +33,8 @@ std::string name_of(const std::string& asset) {
 Result<std::shared_ptr<const capture::RadianceWorld>> with_real_mesh(
     std::shared_ptr<const capture::FloorWorld> floor, const RealGeometry& real,
     const std::function<void(double)>& progress) {
-  PENUMBRA_ASSIGN(mesh, load_asset(real.mesh, *real.albedo, 0));
+  PENUMBRA_ASSIGN(asset, load_asset(real.mesh, *real.albedo, 0));
+  prt::Mesh& mesh = asset.mesh;
   prt::transform(mesh, world_from_mesh(real, mesh));
   auto world = RealMeshWorld::make(std::move(floor), std::move(mesh), progress);
   if (!world) return fail(world.error().code, real.mesh, world.error().detail);

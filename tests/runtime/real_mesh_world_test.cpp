@@ -25,7 +25,7 @@ struct Studio {
 Studio make_studio(const Image<Rgb>& map, const dvec3& place = kPlace) {
   Studio s;
   s.floor = *capture::FloorWorld::make(map);
-  s.box = *load_asset("builtin:box", {.5f, .4f, .3f}, 0);
+  s.box = load_asset("builtin:box", {.5f, .4f, .3f}, 0)->mesh;
   prt::transform(s.box, Pose{{1, 0, 0, 0}, place}.matrix());
   auto furnished = RealMeshWorld::make(s.floor, s.box, {});
   EXPECT_TRUE(furnished) << furnished.error().detail;

@@ -518,8 +518,9 @@ TEST_F(OneBake, ServesCopiesWhichShareItsMemory) {
 
 // Every vertex stands where the scene file says, whatever its bake was made of.
 TEST_F(OneBake, StandsWhereTheSceneSays) {
-  const auto mesh = load_asset("builtin:twist", {.7f, .7f, .7f}, .03f);
-  ASSERT_TRUE(mesh);
+  const auto asset = load_asset("builtin:twist", {.7f, .7f, .7f}, .03f);
+  ASSERT_TRUE(asset);
+  const prt::Mesh* const mesh = &asset->mesh;
   const glm::dvec3 slope = glm::normalize(glm::dvec3(.2, 1, .1));
   for (const glm::dvec3& normal : {glm::dvec3(0, 1, 0), slope})
     for (const glm::dquat& rotation :

@@ -39,7 +39,8 @@ Result<void> bake(const BakeCommandOptions& o) {
     return fail(ErrorCode::kInvalid, "--bounces",
                 fmt::format("{} is not within 0..{}", o.bounces, prt::kMaxBounces));
   PENUMBRA_TRY(check_writable(o.output));
-  PENUMBRA_ASSIGN(mesh, runtime::load_asset(o.asset, albedo_of(o), .04f));
+  PENUMBRA_ASSIGN(asset, runtime::load_asset(o.asset, albedo_of(o), .04f));
+  prt::Mesh& mesh = asset.mesh;
   prt::BakeOptions options;
   options.bands = o.bands;
   options.bounces = o.bounces;
@@ -52,6 +53,7 @@ Result<void> bake(const BakeCommandOptions& o) {
   options.progress = progress_bar("bake " + std::filesystem::path(o.asset).filename().string());
   auto baked = prt::bake(std::move(mesh), options);
   if (!baked) return fail(baked.error().code, o.asset, baked.error().detail);
+  baked->surface = asset.surface;
   PENUMBRA_TRY(prt::write_baked(o.output, *baked));
   const prt::BakeReport& r = baked->report;
   const auto bytes = std::filesystem::file_size(o.output);

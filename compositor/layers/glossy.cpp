@@ -1,0 +1,368 @@
+#include "compositor/layers/glossy.h"
+
+#include <algorithm>
+#include <cmath>
+#include <glm/geometric.hpp>
+#include <glm/gtc/quaternion.hpp>
+#include <glm/gtc/type_ptr.hpp>
+#include <glm/mat4x4.hpp>
+#include <numeric>
+#include <string>
+
+#include "core/conventions.h"
+#include "lighting/reflections/ggx.h"
+
+namespace penumbra::compositor {
+
+namespace {
+
+using lighting::CubeMap;
+using lighting::ReflectionMap;
+
+// Units 0 to 2 are those of other programs' pictures and of a lens.
+constexpr int kFirstUnit = 3, kMaps = 5, kCubeUnit = kFirstUnit + kMaps,
+              kReflectedUnit = kCubeUnit + 1;
+
+struct VertexAttributes {
+  glm::vec3 normal;
+  glm::vec4 tangent, coordinates, tint_and_openness;
+};
+
+void glossy_attribute(GLuint location, int components, std::size_t offset) {
+  glEnableVertexAttribArray(location);
+  glVertexAttribPointer(location, components, GL_FLOAT, GL_FALSE, sizeof(VertexAttributes),
+                        reinterpret_cast<const void*>(offset));
+}
+
+std::vector<VertexAttributes> attributes_of(const GlossyObject& o, const prt::Mesh& mesh) {
+  const prt::SurfaceMaterials& s = *o.surface;
+  std::vector<VertexAttributes> out(mesh.positions.size());
+  for (std::size_t i = 0; i < out.size(); ++i) {
+    const glm::vec2 a = i < s.coordinates[0].size() ? s.coordinates[0][i] : glm::vec2(0),
+                    b = i < s.coordinates[1].size() ? s.coordinates[1][i] : a;
+    const Rgb tint = i < s.tint.size() ? s.tint[i] : Rgb{1, 1, 1};
+    out[i] = {mesh.normals[i], i < s.tangents.size() ? s.tangents[i] : glm::vec4(1, 0, 0, 1),
+              glm::vec4(a, b), glm::vec4(tint.r, tint.g, tint.b, o.openness[i])};
+  }
+  return out;
+}
+
+GLsizeiptr byte_count(const auto& v) {
+  return static_cast<GLsizeiptr>(v.size() * sizeof(v[0]));
+}
+
+// What of an open point's light comes to a vertex from even light, its own reflections counted.
+std::vector<float> openness_of(const prt::Transfer& transfer, std::size_t vertices) {
+  const float open = static_cast<float>(std::sqrt(1 / (4 * kPi)));  // Y_0
+  std::vector<float> out(vertices, 1);
+  for (std::size_t i = 0; i < std::min(vertices, transfer.points); ++i)
+    out[i] = std::clamp(transfer.value(0, 0, i) / open, 0.f, 1.f);
+  return out;
+}
+
+// Harmonics of irradiance over pi, times the constants of the basis (core/conventions.h).
+std::array<glm::vec3, 9> irradiance_polynomial(const RadianceSh& light) {
+  constexpr float kBasis[] = {.282095f,  .488603f, .488603f,  .488603f, 1.092548f,
+                              1.092548f, .315392f, 1.092548f, .546274f};
+  constexpr float kCosine[] = {1, 2.f / 3, .25f};
+  std::array<glm::vec3, 9> out{};
+  for (int n = 0; n < std::min(9, light.size()); ++n) {
+    const float k = kBasis[n] * kCosine[n == 0 ? 0 : n < 4 ? 1 : 2];
+    out[static_cast<std::size_t>(n)] = k * glm::vec3(light[n].r, light[n].g, light[n].b);
+  }
+  return out;
+}
+
+GLenum wrap_of(prt::Texture::Wrap wrap) {
+  switch (wrap) {
+    case prt::Texture::Wrap::kRepeat:
+      return GL_REPEAT;
+    case prt::Texture::Wrap::kMirror:
+      return GL_MIRRORED_REPEAT;
+    case prt::Texture::Wrap::kClamp:
+      break;
+  }
+  return GL_CLAMP_TO_EDGE;
+}
+
+GLint uniform(GLuint program, const char* name) {
+  return glGetUniformLocation(program, name);
+}
+void set(GLuint program, const char* name, float v) {
+  glUniform1f(uniform(program, name), v);
+}
+void set(GLuint program, const char* name, const Rgb& c) {
+  glUniform3f(uniform(program, name), c.r, c.g, c.b);
+}
+
+}  // namespace
+
+bool GlossyObject::is_blended(const Part& part) const {
+  const prt::Material& m = surface->materials[part.material];
+  return m.alpha == prt::Material::Alpha::kBlend || m.transmission > 0;
+}
+
+Glossy::Glossy() {
+  const std::uint8_t white[4] = {255, 255, 255, 255};
+  glBindTexture(GL_TEXTURE_2D, white_.get());
+  glTexStorage2D(GL_TEXTURE_2D, 1, GL_RGBA8, 1, 1);
+  glTexSubImage2D(GL_TEXTURE_2D, 0, 0, 0, 1, 1, GL_RGBA, GL_UNSIGNED_BYTE, white);
+  const Image<glm::vec2>& table = lighting::reflected_of_even_table();
+  glBindTexture(GL_TEXTURE_2D, reflected_.get());
+  glTexStorage2D(GL_TEXTURE_2D, 1, GL_RG16F, table.width(), table.height());
+  glTexSubImage2D(GL_TEXTURE_2D, 0, 0, 0, table.width(), table.height(), GL_RG, GL_FLOAT,
+                  table.pixels().data());
+  glTexParameteri(GL_TEXTURE_2D, GL_TEXTURE_MIN_FILTER, GL_LINEAR);
+  for (const GLenum wrap : {GL_TEXTURE_WRAP_S, GL_TEXTURE_WRAP_T})
+    glTexParameteri(GL_TEXTURE_2D, wrap, GL_CLAMP_TO_EDGE);
+  glBindTexture(GL_TEXTURE_CUBE_MAP, cube_.get());
+  glTexStorage2D(GL_TEXTURE_CUBE_MAP, ReflectionMap::kLevels, GL_RGB16F,
+                 ReflectionMap::kLargestFace, ReflectionMap::kLargestFace);
+  glTexParameteri(GL_TEXTURE_CUBE_MAP, GL_TEXTURE_MIN_FILTER, GL_LINEAR_MIPMAP_LINEAR);
+}
+
+void Glossy::upload(const prt::Texture& texture, bool srgb) {
+  if (!texture) return;
+  const auto [held, fresh] = pictures_.try_emplace({texture.picture.get(), srgb});
+  if (!fresh) return;
+  held->second.picture = texture.picture;
+  const Image<prt::Rgba8>& codes = texture.picture->codes;
+  int levels = 1;
+  while ((std::max(codes.width(), codes.height()) >> levels) > 0) ++levels;
+  glBindTexture(GL_TEXTURE_2D, held->second.texture.get());
+  glTexStorage2D(GL_TEXTURE_2D, levels, srgb ? GL_SRGB8_ALPHA8 : GL_RGBA8, codes.width(),
+                 codes.height());
+  glTexSubImage2D(GL_TEXTURE_2D, 0, 0, 0, codes.width(), codes.height(), GL_RGBA, GL_UNSIGNED_BYTE,
+                  codes.pixels().data());
+  glGenerateMipmap(GL_TEXTURE_2D);
+}
+
+GLuint Glossy::sampler_of(const prt::Texture& texture) {
+  const auto key = static_cast<std::uint32_t>(texture.wrap_s) +
+                   4 * static_cast<std::uint32_t>(texture.wrap_t) + (texture.nearest ? 16u : 0u);
+  const auto [sampler, fresh] = samplers_.try_emplace(key);
+  if (fresh) {
+    const GLuint name = sampler->second.get();
+    const auto parameter = [&](GLenum what, GLenum value) {
+      glSamplerParameteri(name, what, static_cast<GLint>(value));
+    };
+    parameter(GL_TEXTURE_WRAP_S, wrap_of(texture.wrap_s));
+    parameter(GL_TEXTURE_WRAP_T, wrap_of(texture.wrap_t));
+    parameter(GL_TEXTURE_MAG_FILTER, texture.nearest ? GL_NEAREST : GL_LINEAR);
+    parameter(GL_TEXTURE_MIN_FILTER, GL_LINEAR_MIPMAP_LINEAR);
+  }
+  return sampler->second.get();
+}
+
+GlossyObject Glossy::add(const prt::BakedObject& baked, const prt::Mesh& drawn,
+                         const EdgeMiddles& middles,
+                         std::vector<GlossyObject::Triangle>& triangles) {
+  GlossyObject o;
+  auto surface = std::make_shared<prt::SurfaceMaterials>(*baked.surface);
+  surface->extend(middles);
+  o.surface = std::move(surface);
+  o.own_vertices = baked.mesh.positions.size();
+  o.openness = openness_of(baked.transfer, o.own_vertices);
+  for (const auto& [a, b] : middles) o.openness.push_back(.5f * (o.openness[a] + o.openness[b]));
+  const auto material_of = [&](const GlossyObject::Triangle& t) {
+    return static_cast<std::size_t>(o.surface->material[t[0]]);
+  };
+  std::ranges::stable_sort(triangles, {}, material_of);
+  for (std::size_t i = 0; i < triangles.size();) {
+    std::size_t end = i;
+    while (end < triangles.size() && material_of(triangles[end]) == material_of(triangles[i]))
+      ++end;
+    o.parts.push_back({material_of(triangles[i]), static_cast<GLsizei>(3 * i),
+                       static_cast<GLsizei>(3 * (end - i))});
+    i = end;
+  }
+  for (const GlossyObject::Part& part : o.parts) {
+    const prt::Material& m = o.surface->materials[part.material];
+    o.shows_backs |= m.double_sided || m.alpha != prt::Material::Alpha::kOpaque;
+    upload(m.base_colour_map, true);
+    upload(m.emission_map, true);
+    for (const prt::Texture* map : {&m.metallic_roughness_map, &m.normal_map, &m.occlusion_map})
+      upload(*map, false);
+  }
+  const std::vector<VertexAttributes> attributes = attributes_of(o, drawn);
+  glBindBuffer(GL_ARRAY_BUFFER, o.attributes.get());
+  glBufferData(GL_ARRAY_BUFFER, byte_count(attributes), attributes.data(), GL_STATIC_DRAW);
+  glossy_attribute(4, 3, offsetof(VertexAttributes, normal));
+  glossy_attribute(5, 4, offsetof(VertexAttributes, tangent));
+  glossy_attribute(6, 4, offsetof(VertexAttributes, coordinates));
+  glossy_attribute(7, 4, offsetof(VertexAttributes, tint_and_openness));
+  glBindBuffer(GL_ARRAY_BUFFER, o.shares.get());
+  const std::vector<std::uint8_t> open(4 * drawn.positions.size(), 255);
+  glBufferData(GL_ARRAY_BUFFER, byte_count(open), open.data(), GL_DYNAMIC_DRAW);
+  glEnableVertexAttribArray(8);
+  glVertexAttribPointer(8, 4, GL_UNSIGNED_BYTE, GL_TRUE, 0, nullptr);
+  return o;
+}
+
+void Glossy::update_normals(GlossyObject& o, const prt::Mesh& drawn) {
+  const std::vector<VertexAttributes> attributes = attributes_of(o, drawn);
+  glBindBuffer(GL_ARRAY_BUFFER, o.attributes.get());
+  glBufferSubData(GL_ARRAY_BUFFER, 0, byte_count(attributes), attributes.data());
+}
+
+void Glossy::set_shares(GlossyObject& o, std::span<const std::array<float, 4>> shares,
+                        const EdgeMiddles& middles) {
+  std::vector<std::array<std::uint8_t, 4>> codes(o.openness.size(), {255, 255, 255, 255});
+  for (std::size_t i = 0; i < std::min(shares.size(), o.own_vertices); ++i)
+    for (std::size_t k = 0; k < 4; ++k)
+      codes[i][k] =
+          static_cast<std::uint8_t>(std::lround(255 * std::clamp(shares[i][k], 0.f, 1.f)));
+  for (std::size_t i = 0; i < middles.size(); ++i)
+    for (std::size_t k = 0; k < 4; ++k)
+      codes[o.own_vertices + i][k] =
+          static_cast<std::uint8_t>((codes[middles[i][0]][k] + codes[middles[i][1]][k]) / 2);
+  glBindBuffer(GL_ARRAY_BUFFER, o.shares.get());
+  glBufferSubData(GL_ARRAY_BUFFER, 0, byte_count(codes), codes.data());
+}
+
+void Glossy::set_surroundings(const Surroundings& surroundings) {
+  surroundings_ = surroundings;
+  if (!surroundings.reflections || surroundings.reflections == shown_) return;
+  shown_ = surroundings.reflections;
+  glBindTexture(GL_TEXTURE_CUBE_MAP, cube_.get());
+  for (int level = 0; level < ReflectionMap::kLevels; ++level) {
+    const CubeMap& cube = shown_->levels[static_cast<std::size_t>(level)];
+    for (int face = 0; face < 6 && !cube.empty(); ++face)
+      glTexSubImage2D(GL_TEXTURE_CUBE_MAP_POSITIVE_X + static_cast<GLenum>(face), level, 0, 0,
+                      cube.size(), cube.size(), GL_RGB, GL_FLOAT,
+                      cube.faces[static_cast<std::size_t>(face)].pixels().data());
+  }
+}
+
+void Glossy::bind(int unit, const prt::Texture& texture, bool srgb, GLuint program,
+                  const char* name) {
+  const auto at = static_cast<GLuint>(kFirstUnit + unit);
+  glActiveTexture(GL_TEXTURE0 + at);
+  if (texture) {
+    glBindTexture(GL_TEXTURE_2D, pictures_.at({texture.picture.get(), srgb}).texture.get());
+    glBindSampler(at, sampler_of(texture));
+  } else {
+    glBindTexture(GL_TEXTURE_2D, white_.get());
+    glBindSampler(at, 0);
+  }
+  glUniform1i(uniform(program, name), static_cast<GLint>(at));
+  const std::string index = "[" + std::to_string(unit) + "]";
+  glUniformMatrix3x2fv(uniform(program, ("transforms" + index).c_str()), 1, GL_FALSE,
+                       glm::value_ptr(texture.transform));
+  glUniform1i(uniform(program, ("sets" + index).c_str()), texture.set);
+}
+
+void Glossy::set_material(const prt::Material& m, GLuint program) {
+  const std::array<const prt::Texture*, kMaps> maps{&m.base_colour_map, &m.metallic_roughness_map,
+                                                    &m.normal_map, &m.occlusion_map,
+                                                    &m.emission_map};
+  constexpr const char* kNames[] = {"base_colour_map", "metallic_roughness_map", "normal_map",
+                                    "occlusion_map", "emission_map"};
+  int mapped = 0;
+  for (int i = 0; i < kMaps; ++i) {
+    const prt::Texture& map = *maps[static_cast<std::size_t>(i)];
+    bind(i, map, i == 0 || i == 4, program, kNames[i]);
+    if (map) mapped |= 1 << i;
+  }
+  glUniform1i(uniform(program, "mapped"), mapped);
+  const Rgb& c = m.base_colour;
+  glUniform4f(uniform(program, "base_colour"), c.r, c.g, c.b, m.opacity);
+  set(program, "metallic", m.metallic);
+  set(program, "roughness", m.roughness);
+  set(program, "normal_scale", m.normal_scale);
+  set(program, "occlusion_strength", m.occlusion_strength);
+  set(program, "alpha_cutoff", m.alpha_cutoff);
+  set(program, "clearcoat", m.clearcoat);
+  set(program, "clearcoat_roughness", m.clearcoat_roughness);
+  set(program, "transmission", m.transmission);
+  set(program, "emission", m.emission);
+  // Fresnel's reflectance at normal incidence, scaled and tinted by KHR_materials_specular.
+  const float ratio = (m.ior - 1) / (m.ior + 1), normal = ratio * ratio;
+  Rgb reflectance = m.specular_colour * normal;
+  for (int k = 0; k < 3; ++k) reflectance[k] = std::min(reflectance[k], 1.f) * m.specular;
+  set(program, "reflectance", reflectance);
+  set(program, "grazing_reflectance", m.specular);
+  glUniform1i(uniform(program, "alpha_mode"), static_cast<GLint>(m.alpha));
+  glUniform1i(uniform(program, "is_unlit"), m.unlit ? 1 : 0);
+  glUniform1i(uniform(program, "is_double_sided"), m.double_sided ? 1 : 0);
+}
+
+void Glossy::set_scene(GLuint program, const Placed& placed) const {
+  const Pose& pose = placed.world_from_object;
+  glm::mat4 world(glm::mat3_cast(glm::quat(pose.rotation)));
+  world[3] = glm::vec4(glm::vec3(pose.translation), 1);
+  glUniformMatrix4fv(uniform(program, "world_from_object"), 1, GL_FALSE, glm::value_ptr(world));
+  glUniform3f(uniform(program, "eye"), static_cast<float>(placed.eye.x),
+              static_cast<float>(placed.eye.y), static_cast<float>(placed.eye.z));
+  set(program, "largest_level", shown_ ? static_cast<float>(ReflectionMap::kLevels - 1) : 0.f);
+  set(program, "emission_unit", surroundings_.emission_unit);
+  glActiveTexture(GL_TEXTURE0 + kCubeUnit);
+  glBindTexture(GL_TEXTURE_CUBE_MAP, cube_.get());
+  glUniform1i(uniform(program, "surroundings"), kCubeUnit);
+  glActiveTexture(GL_TEXTURE0 + kReflectedUnit);
+  glBindTexture(GL_TEXTURE_2D, reflected_.get());
+  glUniform1i(uniform(program, "reflected"), kReflectedUnit);
+  glActiveTexture(GL_TEXTURE0);
+  const auto polynomial = irradiance_polynomial(surroundings_.light);
+  glUniform3fv(uniform(program, "irradiance_sh"), 9, glm::value_ptr(polynomial[0]));
+  const std::size_t count = std::min(surroundings_.lights.size(), Surroundings::kMaxLights);
+  std::array<glm::vec4, Surroundings::kMaxLights> places{};
+  std::array<glm::vec3, Surroundings::kMaxLights> irradiances{};
+  for (std::size_t i = 0; i < count; ++i) {
+    const MirroredLight& light = surroundings_.lights[i];
+    places[i] = glm::vec4(glm::vec3(light.direction),
+                          static_cast<float>(std::sin(std::min(light.radius_rad, kPi / 2))));
+    irradiances[i] = {light.irradiance.r, light.irradiance.g, light.irradiance.b};
+  }
+  glUniform1i(uniform(program, "light_count"), static_cast<GLint>(count));
+  glUniform4fv(uniform(program, "light_places"), Surroundings::kMaxLights,
+               glm::value_ptr(places[0]));
+  glUniform3fv(uniform(program, "light_irradiances"), Surroundings::kMaxLights,
+               glm::value_ptr(irradiances[0]));
+}
+
+// Farthest triangles first.
+void Glossy::draw_sorted(const GlossyObject& o, const GlossyObject::Part& part,
+                         const Placed& placed) {
+  const glm::vec3 eye(placed.world_from_object.inverse() * placed.eye);
+  const auto all = placed.triangles.subspan(static_cast<std::size_t>(part.first / 3),
+                                            static_cast<std::size_t>(part.count / 3));
+  order_.assign(all.begin(), all.end());
+  std::ranges::sort(order_, std::greater(), [&](const GlossyObject::Triangle& t) {
+    const glm::vec3 middle =
+        (placed.positions[t[0]] + placed.positions[t[1]] + placed.positions[t[2]]) / 3.f;
+    return glm::dot(middle - eye, middle - eye);
+  });
+  glBindBuffer(GL_ELEMENT_ARRAY_BUFFER, o.sorted.get());
+  glBufferData(GL_ELEMENT_ARRAY_BUFFER, byte_count(order_), order_.data(), GL_STREAM_DRAW);
+  glEnable(GL_BLEND);
+  glBlendFunc(GL_ONE, GL_ONE_MINUS_SRC_ALPHA);
+  glDepthMask(GL_FALSE);
+  glDrawElements(GL_TRIANGLES, part.count, GL_UNSIGNED_INT, nullptr);
+  glDepthMask(GL_TRUE);
+  glDisable(GL_BLEND);
+}
+
+void Glossy::draw(const GlossyObject& o, GLuint program, const Placed& placed, bool blended) {
+  set_scene(program, placed);
+  for (const GlossyObject::Part& part : o.parts) {
+    if (o.is_blended(part) != blended) continue;
+    const prt::Material& m = o.surface->materials[part.material];
+    set_material(m, program);
+    if ((blended && !m.double_sided) || (placed.cull_backs && !o.shows_backs))
+      glEnable(GL_CULL_FACE);
+    if (blended) {
+      draw_sorted(o, part, placed);
+    } else {
+      glBindBuffer(GL_ELEMENT_ARRAY_BUFFER, placed.indices);
+      glDrawElements(GL_TRIANGLES, part.count, GL_UNSIGNED_INT,
+                     reinterpret_cast<const void*>(static_cast<std::size_t>(part.first) *
+                                                   sizeof(std::uint32_t)));
+    }
+    glDisable(GL_CULL_FACE);
+  }
+  for (int unit = 0; unit < kMaps; ++unit) glBindSampler(static_cast<GLuint>(kFirstUnit + unit), 0);
+  glActiveTexture(GL_TEXTURE0);
+}
+
+}  // namespace penumbra::compositor

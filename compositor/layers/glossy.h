@@ -1,0 +1,94 @@
+// Draws surfaces with materials: their pictures, the maps of the surroundings, and one part of an
+// object for each material.
+// threads: thread-bound, to the one of the GL context
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <map>
+#include <memory>
+#include <span>
+#include <utility>
+#include <vector>
+
+#include "compositor/layers/gl.h"
+#include "compositor/surroundings.h"
+#include "core/pose.h"
+#include "prt/bake/bake.h"
+#include "prt/geometry/material.h"
+#include "prt/geometry/mesh.h"
+
+namespace penumbra::compositor {
+
+using EdgeMiddles = std::vector<std::array<std::uint32_t, 2>>;
+
+/// What an object with materials has beyond its vertices and its light.
+struct GlossyObject {
+  using Triangle = std::array<std::uint32_t, 3>;
+  struct Part {  // of one material
+    std::size_t material;
+    GLsizei first, count;  // indices
+  };
+  std::shared_ptr<const prt::SurfaceMaterials> surface;
+  GlBuffer attributes{}, shares{}, sorted{};
+  std::vector<Part> parts{};
+  std::vector<float> openness{};  // by vertex that GL draws
+  std::size_t own_vertices = 0;   // the others lie between two of them
+  bool shows_backs = false;       // of some part
+
+  bool is_blended(const Part& part) const;
+};
+
+class Glossy {
+ public:
+  Glossy();
+
+  /// in:  triangles: of the mesh that GL draws; out: by material
+  /// Adds its attributes to the vertex array that is bound.
+  GlossyObject add(const prt::BakedObject& baked, const prt::Mesh& drawn,
+                   const EdgeMiddles& middles, std::vector<GlossyObject::Triangle>& triangles);
+  static void update_normals(GlossyObject& object, const prt::Mesh& drawn);
+  /// Visible shares of Surroundings::lights, by vertex of the object's own; none: all open.
+  static void set_shares(GlossyObject& object, std::span<const std::array<float, 4>> shares,
+                         const EdgeMiddles& middles);
+  void set_surroundings(const Surroundings& surroundings);
+
+  /// Draws the parts that are blended, or those that are not, from the bound vertex array.
+  /// program: of LayerDrawing::kGlossyObject, current
+  struct Placed {
+    Pose world_from_object;
+    glm::dvec3 eye;
+    bool cull_backs;
+    GLuint indices;
+    std::span<const GlossyObject::Triangle> triangles;
+    std::span<const glm::vec3> positions;
+  };
+  void draw(const GlossyObject& object, GLuint program, const Placed& placed, bool blended);
+
+ private:
+  struct PictureKey {
+    const prt::TexturePicture* picture;
+    bool srgb;
+    auto operator<=>(const PictureKey&) const = default;
+  };
+  struct HeldPicture {
+    std::shared_ptr<const prt::TexturePicture> picture;
+    GlTexture texture{};
+  };
+  void upload(const prt::Texture& texture, bool srgb);
+  void bind(int unit, const prt::Texture& texture, bool srgb, GLuint program, const char* name);
+  GLuint sampler_of(const prt::Texture& texture);
+  void set_material(const prt::Material& material, GLuint program);
+  void set_scene(GLuint program, const Placed& placed) const;
+  void draw_sorted(const GlossyObject& object, const GlossyObject::Part& part,
+                   const Placed& placed);
+
+  std::map<PictureKey, HeldPicture> pictures_;
+  std::map<std::uint32_t, GlSampler> samplers_;
+  GlTexture cube_{}, reflected_{}, white_{};
+  std::shared_ptr<const lighting::ReflectionMap> shown_{};
+  Surroundings surroundings_;
+  std::vector<GlossyObject::Triangle> order_;  // scratch
+};
+
+}  // namespace penumbra::compositor
