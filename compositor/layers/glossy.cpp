@@ -8,6 +8,7 @@
 #include <glm/mat4x4.hpp>
 #include <numeric>
 #include <string>
+#include <string_view>
 
 #include "core/conventions.h"
 #include "lighting/reflections/ggx.h"
@@ -85,6 +86,12 @@ GLenum wrap_of(prt::Texture::Wrap wrap) {
   return GL_CLAMP_TO_EDGE;
 }
 
+// Most assets keep both in one, and a second look at it costs as much as the first.
+bool is_one_picture(const prt::Texture& a, const prt::Texture& b) {
+  return a && a.picture == b.picture && a.set == b.set && a.transform == b.transform &&
+         a.wrap_s == b.wrap_s && a.wrap_t == b.wrap_t && a.nearest == b.nearest;
+}
+
 GLint uniform(GLuint program, const char* name) {
   return glGetUniformLocation(program, name);
 }
@@ -102,7 +109,54 @@ bool GlossyObject::is_blended(const Part& part) const {
   return m.alpha == prt::Material::Alpha::kBlend || m.transmission > 0;
 }
 
+bool GlossyObject::any(bool blended) const {
+  return std::ranges::any_of(parts, [&](const Part& p) { return is_blended(p) == blended; });
+}
+
+std::vector<GlossyObject::Part> GlossyObject::parts_of(std::span<const Triangle> triangles) const {
+  const auto material_of = [&](const Triangle& t) {
+    return static_cast<std::size_t>(surface->material[t[0]]);
+  };
+  std::vector<Part> out;
+  for (std::size_t i = 0; i < triangles.size();) {
+    const std::size_t first = i;
+    while (i < triangles.size() && material_of(triangles[i]) == material_of(triangles[first])) ++i;
+    out.push_back({material_of(triangles[first]), static_cast<GLsizei>(3 * first),
+                   static_cast<GLsizei>(3 * (i - first))});
+  }
+  return out;
+}
+
+bool GlossyObject::has_plain_edges() const {
+  return !shows_backs;
+}
+
+GlossyFeatures Glossy::features_of(const GlossyObject& o, const GlossyObject::Part& part) const {
+  const prt::Material& m = o.surface->materials[part.material];
+  using enum GlossyFeatures;
+  GlossyFeatures out = kNone;
+  const auto add = [&](bool wanted, GlossyFeatures one) {
+    if (wanted) out = out | one;
+  };
+  add(bool(m.base_colour_map), kBaseColourMap);
+  add(m.alpha == prt::Material::Alpha::kMask, kMask);
+  add(o.is_blended(part), kBlend);
+  add(m.double_sided, kDoubleSided);
+  add(m.unlit, kUnlit);
+  if (m.unlit) return out;
+  add(bool(m.metallic_roughness_map), kMetallicRoughnessMap);
+  add(bool(m.normal_map), kNormalMap);
+  add(bool(m.occlusion_map), kOcclusionMap);
+  add(is_one_picture(m.metallic_roughness_map, m.occlusion_map), kOcclusionInRoughness);
+  add(bool(m.emission_map), kEmissionMap);
+  add(m.clearcoat > 0, kClearcoat);
+  add(!surroundings_.lights.empty(), kLights);
+  return out;
+}
+
 Glossy::Glossy() {
+  const auto* const renderer = reinterpret_cast<const char*>(glGetString(GL_RENDERER));
+  in_software_ = renderer && std::string_view(renderer).find("pipe") != std::string_view::npos;
   const std::uint8_t white[4] = {255, 255, 255, 255};
   glBindTexture(GL_TEXTURE_2D, white_.get());
   glTexStorage2D(GL_TEXTURE_2D, 1, GL_RGBA8, 1, 1);
@@ -149,7 +203,9 @@ GLuint Glossy::sampler_of(const prt::Texture& texture) {
     parameter(GL_TEXTURE_WRAP_S, wrap_of(texture.wrap_s));
     parameter(GL_TEXTURE_WRAP_T, wrap_of(texture.wrap_t));
     parameter(GL_TEXTURE_MAG_FILTER, texture.nearest ? GL_NEAREST : GL_LINEAR);
-    parameter(GL_TEXTURE_MIN_FILTER, GL_LINEAR_MIPMAP_LINEAR);
+    // Without a GPU two levels take twice the time of one.
+    parameter(GL_TEXTURE_MIN_FILTER,
+              in_software_ ? GL_LINEAR_MIPMAP_NEAREST : GL_LINEAR_MIPMAP_LINEAR);
   }
   return sampler->second.get();
 }
@@ -168,14 +224,7 @@ GlossyObject Glossy::add(const prt::BakedObject& baked, const prt::Mesh& drawn,
     return static_cast<std::size_t>(o.surface->material[t[0]]);
   };
   std::ranges::stable_sort(triangles, {}, material_of);
-  for (std::size_t i = 0; i < triangles.size();) {
-    std::size_t end = i;
-    while (end < triangles.size() && material_of(triangles[end]) == material_of(triangles[i]))
-      ++end;
-    o.parts.push_back({material_of(triangles[i]), static_cast<GLsizei>(3 * i),
-                       static_cast<GLsizei>(3 * (end - i))});
-    i = end;
-  }
+  o.parts = o.parts_of(triangles);
   for (const GlossyObject::Part& part : o.parts) {
     const prt::Material& m = o.surface->materials[part.material];
     o.shows_backs |= m.double_sided || m.alpha != prt::Material::Alpha::kOpaque;
@@ -258,13 +307,8 @@ void Glossy::set_material(const prt::Material& m, GLuint program) {
                                                     &m.emission_map};
   constexpr const char* kNames[] = {"base_colour_map", "metallic_roughness_map", "normal_map",
                                     "occlusion_map", "emission_map"};
-  int mapped = 0;
-  for (int i = 0; i < kMaps; ++i) {
-    const prt::Texture& map = *maps[static_cast<std::size_t>(i)];
-    bind(i, map, i == 0 || i == 4, program, kNames[i]);
-    if (map) mapped |= 1 << i;
-  }
-  glUniform1i(uniform(program, "mapped"), mapped);
+  for (int i = 0; i < kMaps; ++i)
+    bind(i, *maps[static_cast<std::size_t>(i)], i == 0 || i == 4, program, kNames[i]);
   const Rgb& c = m.base_colour;
   glUniform4f(uniform(program, "base_colour"), c.r, c.g, c.b, m.opacity);
   set(program, "metallic", m.metallic);
@@ -282,9 +326,6 @@ void Glossy::set_material(const prt::Material& m, GLuint program) {
   for (int k = 0; k < 3; ++k) reflectance[k] = std::min(reflectance[k], 1.f) * m.specular;
   set(program, "reflectance", reflectance);
   set(program, "grazing_reflectance", m.specular);
-  glUniform1i(uniform(program, "alpha_mode"), static_cast<GLint>(m.alpha));
-  glUniform1i(uniform(program, "is_unlit"), m.unlit ? 1 : 0);
-  glUniform1i(uniform(program, "is_double_sided"), m.double_sided ? 1 : 0);
 }
 
 void Glossy::set_scene(GLuint program, const Placed& placed) const {
@@ -343,11 +384,13 @@ void Glossy::draw_sorted(const GlossyObject& o, const GlossyObject::Part& part,
   glDisable(GL_BLEND);
 }
 
-void Glossy::draw(const GlossyObject& o, GLuint program, const Placed& placed, bool blended) {
-  set_scene(program, placed);
-  for (const GlossyObject::Part& part : o.parts) {
+void Glossy::draw(const GlossyObject& o, const UseProgram& use, const Placed& placed,
+                  bool blended) {
+  for (const GlossyObject::Part& part : o.parts_of(placed.triangles)) {
     if (o.is_blended(part) != blended) continue;
     const prt::Material& m = o.surface->materials[part.material];
+    const GLuint program = use(features_of(o, part));
+    set_scene(program, placed);
     set_material(m, program);
     if ((blended && !m.double_sided) || (placed.cull_backs && !o.shows_backs))
       glEnable(GL_CULL_FACE);

@@ -5,6 +5,7 @@
 
 #include <array>
 #include <cstdint>
+#include <functional>
 #include <map>
 #include <memory>
 #include <span>
@@ -12,6 +13,7 @@
 #include <vector>
 
 #include "compositor/layers/gl.h"
+#include "compositor/layers/glossy_program.h"
 #include "compositor/surroundings.h"
 #include "core/pose.h"
 #include "prt/bake/bake.h"
@@ -37,6 +39,11 @@ struct GlossyObject {
   bool shows_backs = false;       // of some part
 
   bool is_blended(const Part& part) const;
+  bool any(bool blended) const;
+  /// The parts of some of its triangles, in their order.
+  std::vector<Part> parts_of(std::span<const Triangle> triangles) const;
+  /// Every edge is one of its triangles: nothing is masked away, blended or seen from behind.
+  bool has_plain_edges() const;
 };
 
 class Glossy {
@@ -53,17 +60,20 @@ class Glossy {
                          const EdgeMiddles& middles);
   void set_surroundings(const Surroundings& surroundings);
 
+  GlossyFeatures features_of(const GlossyObject& object, const GlossyObject::Part& part) const;
+
   /// Draws the parts that are blended, or those that are not, from the bound vertex array.
-  /// program: of LayerDrawing::kGlossyObject, current
+  /// use: makes the program of features current
+  using UseProgram = std::function<GLuint(GlossyFeatures)>;
   struct Placed {
     Pose world_from_object;
     glm::dvec3 eye;
     bool cull_backs;
-    GLuint indices;
+    GLuint indices;  // of the triangles
     std::span<const GlossyObject::Triangle> triangles;
     std::span<const glm::vec3> positions;
   };
-  void draw(const GlossyObject& object, GLuint program, const Placed& placed, bool blended);
+  void draw(const GlossyObject& object, const UseProgram& use, const Placed& placed, bool blended);
 
  private:
   struct PictureKey {
@@ -85,6 +95,7 @@ class Glossy {
 
   std::map<PictureKey, HeldPicture> pictures_;
   std::map<std::uint32_t, GlSampler> samplers_;
+  bool in_software_ = false;  // llvmpipe, softpipe
   GlTexture cube_{}, reflected_{}, white_{};
   std::shared_ptr<const lighting::ReflectionMap> shown_{};
   Surroundings surroundings_;

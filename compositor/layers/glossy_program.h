@@ -1,7 +1,49 @@
 // The shaders of surfaces with materials (prt/geometry/material.h).
+// threads: reentrant
 #pragma once
 
+#include <cstdint>
+#include <string>
+
 namespace penumbra::compositor {
+
+/// What a surface's program does beyond diffuse light and the mirrored surroundings.
+enum class GlossyFeatures : std::uint32_t {
+  kNone = 0,
+  kBaseColourMap = 1,
+  kMetallicRoughnessMap = 2,
+  kNormalMap = 4,
+  kOcclusionMap = 8,
+  kEmissionMap = 16,
+  kMask = 32,
+  kBlend = 64,
+  kDoubleSided = 128,
+  kUnlit = 256,
+  kClearcoat = 512,
+  kLights = 1024,
+  kOcclusionInRoughness = 2048,  // one picture for both
+};
+constexpr GlossyFeatures operator|(GlossyFeatures a, GlossyFeatures b) {
+  return static_cast<GlossyFeatures>(static_cast<std::uint32_t>(a) | static_cast<std::uint32_t>(b));
+}
+constexpr bool has(GlossyFeatures all, GlossyFeatures one) {
+  return (static_cast<std::uint32_t>(all) & static_cast<std::uint32_t>(one)) != 0;
+}
+
+/// in: cut: whether is_shown() may say no
+inline std::string glossy_defines(GlossyFeatures features, bool cut) {
+  constexpr const char* kNames[] = {"BASE_COLOUR_MAP", "METALLIC_ROUGHNESS_MAP",
+                                    "NORMAL_MAP",      "OCCLUSION_MAP",
+                                    "EMISSION_MAP",    "MASK",
+                                    "BLEND",           "DOUBLE_SIDED",
+                                    "UNLIT",           "CLEARCOAT",
+                                    "LIGHTS"};
+  std::string out = cut ? "#define CUT\n" : "";
+  for (std::uint32_t i = 0; i < std::size(kNames); ++i)
+    if (static_cast<std::uint32_t>(features) >> i & 1)
+      out += std::string("#define ") + kNames[i] + "\n";
+  return out;
+}
 
 // What follows place_in_picture(). In the frame of the world but for `light`, the object's own
 // irradiance/pi.
@@ -40,7 +82,6 @@ uniform float metallic, roughness, normal_scale, occlusion_strength, alpha_cutof
 uniform float clearcoat, clearcoat_roughness, transmission;
 uniform vec3 emission, reflectance;
 uniform float grazing_reflectance;
-uniform int alpha_mode, is_unlit, is_double_sided, has_normals, mapped;
 uniform mat3x2 transforms[5];
 uniform int sets[5];
 uniform sampler2D base_colour_map, metallic_roughness_map, normal_map, occlusion_map, emission_map;
@@ -91,44 +132,50 @@ vec3 surroundings_towards(vec3 r, float rough) {
 }
 
 void main() {
+#ifdef CUT
+  if (!is_shown()) discard;
+#endif
   vec4 base = base_colour * vec4(tint.rgb, 1);
-  if ((mapped & 1) != 0) base *= texture(base_colour_map, place_of(0));
-  if (!is_shown() || (alpha_mode == 1 && base.a < alpha_cutoff)) discard;
-  if (alpha_mode != 2) base.a = 1.0;
-  if (!gl_FrontFacing && is_double_sided == 0) {
-    colour = vec4(0, 0, 0, base.a);
-    return;
-  }
-  vec3 glow = emission * emission_unit;
-  if ((mapped & 16) != 0) glow *= texture(emission_map, place_of(4)).rgb;
-  if (is_unlit != 0) {
-    colour = vec4(min(signal_per_radiance * emission_unit * base.rgb, 1000.0) * base.a, base.a);
-    return;
-  }
+#ifdef BASE_COLOUR_MAP
+  base *= texture(base_colour_map, place_of(0));
+#endif
+#ifdef MASK
+  if (base.a < alpha_cutoff) discard;
+#endif
+#ifndef BLEND
+  base.a = 1.0;
+#endif
+#ifdef UNLIT
+  colour = vec4(min(signal_per_radiance * emission_unit * base.rgb, 1000.0) * base.a, base.a);
+#else
   float metal = metallic, rough = roughness;
-  if ((mapped & 2) != 0) {
-    vec4 t = texture(metallic_roughness_map, place_of(1));
-    rough *= t.g;
-    metal *= t.b;
-  }
-  float side = gl_FrontFacing ? 1.0 : -1.0;
-  vec3 plain = normalize(up), n = plain * side;
-  if ((mapped & 4) != 0) {
-    vec3 t = texture(normal_map, place_of(2)).xyz * 2.0 - 1.0;
-    t.xy *= normal_scale;
-    vec3 tx = normalize(along.xyz), ty = cross(plain, tx) * along.w;
-    n = normalize(mat3(tx, ty, plain) * t) * side;
-  }
-  // What the transfer knows is the light of the vertices' own normals.
-  vec3 diffuse_light = light;
-  if (n != plain) diffuse_light *= clamp(open_irradiance(n) / max(open_irradiance(plain), 1e-6), 0.0, 4.0);
+#ifdef METALLIC_ROUGHNESS_MAP
+  vec4 t = texture(metallic_roughness_map, place_of(1));
+  rough *= t.g;
+  metal *= t.b;
+#endif
+  vec3 plain = normalize(up), n = plain, diffuse_light = light;
   float open = tint.a;
-  if ((mapped & 8) != 0) {
-    float occlusion = 1.0 + occlusion_strength * (texture(occlusion_map, place_of(3)).r - 1.0);
-    open *= occlusion;
-  }
+#ifdef NORMAL_MAP
+  vec3 lean = texture(normal_map, place_of(2)).xyz * 2.0 - 1.0;
+  lean.xy *= normal_scale;
+  vec3 tx = normalize(along.xyz), ty = cross(plain, tx) * along.w;
+  n = normalize(mat3(tx, ty, plain) * lean);
+#endif
+#ifdef DOUBLE_SIDED
+  if (!gl_FrontFacing) n = -n;
+#endif
+#if defined(NORMAL_MAP) || defined(DOUBLE_SIDED)
+  // What the transfer knows is the light of the vertices' own normals.
+  diffuse_light *= clamp(open_irradiance(n) / max(open_irradiance(plain), 1e-6), 0.0, 4.0);
+#endif
+#ifdef OCCLUSION_IN_ROUGHNESS
+  open *= 1.0 + occlusion_strength * (t.r - 1.0);
+#elif defined(OCCLUSION_MAP)
+  open *= 1.0 + occlusion_strength * (texture(occlusion_map, place_of(3)).r - 1.0);
+#endif
   vec3 v = normalize(eye - at);
-  float n_dot_v = clamp(dot(n, v), 1e-3, 1.0), alpha = max(rough * rough, 1e-3);
+  float n_dot_v = clamp(dot(n, v), 1e-3, 1.0);
   vec2 even = texture(reflected, vec2(n_dot_v, rough)).xy;
   vec3 f0 = mix(reflectance, base.rgb, metal);
   float f90 = mix(grazing_reflectance, 1.0, metal);
@@ -136,25 +183,41 @@ void main() {
   vec3 share = (f0 * even.x + f90 * even.y) * again;
   vec3 r = reflect(-v, n);
   float seen = clamp(pow(n_dot_v + open, exp2(-16.0 * rough - 1.0)) - 1.0 + open, 0.0, 1.0);
-  float above = clamp(1.0 + dot(r, plain * side), 0.0, 1.0);
+#ifdef NORMAL_MAP
+  float above = clamp(1.0 + dot(r, plain), 0.0, 1.0);
   seen *= above * above;
-  vec3 diffuse = base.rgb * (1.0 - metal) * diffuse_light;
-  vec3 own = mix(diffuse, base.rgb * diffuse_light, metal);
-  vec3 mirrored = share * mix(own, surroundings_towards(r, rough), seen) +
-                  again * mirrored_lights(n, v, n_dot_v, alpha, f0, f90);
-  float largest = max(share.r, max(share.g, share.b));
-  float through = transmission * (1.0 - metal) * (1.0 - largest);
-  diffuse *= (1.0 - share) * (1.0 - transmission);
-  vec3 shown = diffuse + mirrored + glow;
-  if (clearcoat > 0.0) {
-    vec2 coat_even = texture(reflected, vec2(n_dot_v, clearcoat_roughness)).xy;
-    float coat = clearcoat * (0.04 * coat_even.x + coat_even.y);
-    shown = shown * (1.0 - coat) + coat * seen * surroundings_towards(r, clearcoat_roughness) +
-            clearcoat * mirrored_lights(n, v, n_dot_v, max(clearcoat_roughness * clearcoat_roughness, 1e-3),
-                                        vec3(0.04), 1.0);
-  }
-  float cover = base.a * (1.0 - through);
+#endif
+  vec3 own = base.rgb * diffuse_light;  // what it sees of itself is lit like it
+  vec3 shown = share * mix(own, surroundings_towards(r, rough), seen);
+#ifdef LIGHTS
+  float alpha = max(rough * rough, 1e-3);
+  shown += again * mirrored_lights(n, v, n_dot_v, alpha, f0, f90);
+#endif
+  vec3 diffuse = own * (1.0 - metal) * (1.0 - share);
+  shown += diffuse * (1.0 - transmission);
+#ifdef EMISSION_MAP
+  shown += emission * emission_unit * texture(emission_map, place_of(4)).rgb;
+#else
+  shown += emission * emission_unit;
+#endif
+#ifdef CLEARCOAT
+  vec2 coat_even = texture(reflected, vec2(n_dot_v, clearcoat_roughness)).xy;
+  float coat = clearcoat * (0.04 * coat_even.x + coat_even.y);
+  shown = shown * (1.0 - coat) + coat * seen * surroundings_towards(r, clearcoat_roughness);
+#ifdef LIGHTS
+  float coat_alpha = max(clearcoat_roughness * clearcoat_roughness, 1e-3);
+  shown += clearcoat * mirrored_lights(n, v, n_dot_v, coat_alpha, vec3(0.04), 1.0);
+#endif
+#endif
+  float cover = base.a;
+#ifdef BLEND
+  cover *= 1.0 - transmission * (1.0 - metal) * (1.0 - max(share.r, max(share.g, share.b)));
+#endif
   colour = vec4(min(signal_per_radiance * shown, 1000.0) * base.a, cover);
+#endif
+#ifndef DOUBLE_SIDED
+  if (!gl_FrontFacing) colour.rgb = vec3(0);
+#endif
 }
 )";
 

@@ -5,8 +5,6 @@
 #include <glm/gtc/type_ptr.hpp>
 #include <string>
 
-#include "compositor/layers/glossy_program.h"
-
 namespace penumbra::compositor {
 
 namespace {
@@ -169,51 +167,83 @@ void set_lens(GLuint program, const ViewLens& lens, GLuint radius) {
 
 }  // namespace
 
-Result<LayerPrograms::Programs> LayerPrograms::make(bool lens, bool cut) {
-  const std::string vertex = std::string(kVersion) + (cut ? kTellsPlace : kTellsNothing) +
-                             (lens ? kLensVertex : kPinholeVertex),
-                    fragment = std::string(kVersion) + (cut ? kCutFragment : kWholeFragment);
+namespace {
+
+std::string vertex_head(bool lens, bool cut) {
+  return std::string(kVersion) + (cut ? kTellsPlace : kTellsNothing) +
+         (lens ? kLensVertex : kPinholeVertex);
+}
+std::string fragment_head(bool cut) {
+  return std::string(kVersion) + (cut ? kCutFragment : kWholeFragment);
+}
+
+}  // namespace
+
+Result<LayerPrograms::Programs> LayerPrograms::make(Way way) {
+  const bool cut = way == Way::kCutLens;
+  const std::string vertex = vertex_head(way != Way::kPinhole, cut), fragment = fragment_head(cut);
   const auto one = [&](const char* v, const char* f) {
     return make_program((vertex + v).c_str(), (fragment + f).c_str());
   };
   PENUMBRA_ASSIGN(object, one(kObjectVertex, kObjectFragment));
   PENUMBRA_ASSIGN(textured, one(kTexturedVertex, kTexturedFragment));
   PENUMBRA_ASSIGN(real_mesh, one(kRealMeshVertex, kRealMeshFragment));
-  PENUMBRA_ASSIGN(glossy, one(kGlossyVertex, kGlossyFragment));
-  return Programs{std::move(object), std::move(textured), std::move(real_mesh), std::move(glossy)};
+  return Programs{std::move(object), std::move(textured), std::move(real_mesh)};
 }
 
 Result<LayerPrograms> LayerPrograms::create() {
-  PENUMBRA_ASSIGN(pinhole, make(false, false));
+  PENUMBRA_ASSIGN(pinhole, make(Way::kPinhole));
   return LayerPrograms(std::move(pinhole));
 }
 
 Result<void> LayerPrograms::prepare(const std::shared_ptr<const ViewLens>& lens) {
   if (!lens || std::ranges::find(tables_, lens, &LensTable::lens) != tables_.end()) return {};
   if (!lens_) {
-    PENUMBRA_ASSIGN(whole, make(true, false));
-    PENUMBRA_ASSIGN(cut, make(true, true));
+    PENUMBRA_ASSIGN(whole, make(Way::kLens));
+    PENUMBRA_ASSIGN(cut, make(Way::kCutLens));
     lens_ = std::move(whole), cut_lens_ = std::move(cut);
   }
   tables_.push_back({lens, radius_texture(*lens)});
   return {};
 }
 
-GLuint LayerPrograms::use(LayerDrawing drawing, const ViewProjection& from_points, bool cut) const {
-  const ViewLens* const lens = from_points.lens();
-  const GLuint program = (!lens ? pinhole_
-                          : cut ? *cut_lens_
-                                : *lens_)[static_cast<std::size_t>(drawing)]
-                             .get();
+Result<void> LayerPrograms::prepare_glossy(GlossyFeatures features, const ViewLens* lens) {
+  for (const Way way : {Way::kPinhole, Way::kLens, Way::kCutLens}) {
+    if ((way == Way::kPinhole) != (lens == nullptr) || glossy_.contains({way, features})) continue;
+    const bool cut = way == Way::kCutLens;
+    const std::string defines = glossy_defines(features, cut);
+    PENUMBRA_ASSIGN(
+        made, make_program((vertex_head(lens != nullptr, cut) + defines + kGlossyVertex).c_str(),
+                           (fragment_head(cut) + defines + kGlossyFragment).c_str()));
+    glossy_.emplace(std::pair(way, features), std::move(made));
+  }
+  return {};
+}
+
+void LayerPrograms::set_projection(GLuint program, const ViewProjection& from_points) const {
   glUseProgram(program);
   const glm::mat4 single(from_points.matrix());
   glUniformMatrix4fv(glGetUniformLocation(program, "picture_from_points"), 1, GL_FALSE,
                      glm::value_ptr(single));
-  if (lens) {
-    const auto table =
-        std::ranges::find_if(tables_, [&](const LensTable& t) { return t.lens.get() == lens; });
-    set_lens(program, *lens, table->radius.get());
-  }
+  const ViewLens* const lens = from_points.lens();
+  if (!lens) return;
+  const auto table =
+      std::ranges::find_if(tables_, [&](const LensTable& t) { return t.lens.get() == lens; });
+  set_lens(program, *lens, table->radius.get());
+}
+
+GLuint LayerPrograms::use(LayerDrawing drawing, const ViewProjection& from_points, bool cut) const {
+  const Programs& programs = !from_points.lens() ? pinhole_ : cut ? *cut_lens_ : *lens_;
+  const GLuint program = programs[static_cast<std::size_t>(drawing)].get();
+  set_projection(program, from_points);
+  return program;
+}
+
+GLuint LayerPrograms::use_glossy(GlossyFeatures features, const ViewProjection& from_points,
+                                 bool cut) const {
+  const Way way = !from_points.lens() ? Way::kPinhole : cut ? Way::kCutLens : Way::kLens;
+  const GLuint program = glossy_.at({way, features}).get();
+  set_projection(program, from_points);
   return program;
 }
 

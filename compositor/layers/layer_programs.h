@@ -3,7 +3,9 @@
 #pragma once
 
 #include <array>
+#include <cstdint>
 #include <glm/vec4.hpp>
+#include <map>
 #include <memory>
 #include <optional>
 #include <span>
@@ -11,6 +13,7 @@
 #include <vector>
 
 #include "compositor/layers/gl.h"
+#include "compositor/layers/glossy_program.h"
 #include "compositor/projection.h"
 #include "compositor/view_lens.h"
 
@@ -18,7 +21,7 @@ namespace penumbra::compositor {
 
 class LayerPrograms {
  public:
-  enum class LayerDrawing { kObject, kTexturedObject, kRealMesh, kGlossyObject };
+  enum class LayerDrawing { kObject, kTexturedObject, kRealMesh };
 
   static Result<LayerPrograms> create();
 
@@ -31,22 +34,32 @@ class LayerPrograms {
   /// longer; without a lens GL cuts by itself
   GLuint use(LayerDrawing drawing, const ViewProjection& from_points, bool cut) const;
 
+  /// Programs of surfaces with materials: without a GPU what a program leaves out is what it does
+  /// not pay for, so there is one for each set of features.
+  /// errors: kUnavailable
+  Result<void> prepare_glossy(GlossyFeatures features, const ViewLens* lens);
+  /// features: prepared
+  GLuint use_glossy(GlossyFeatures features, const ViewProjection& from_points, bool cut) const;
+
   /// Planes in the camera's frame, n.p + d < 0 behind them: what a lens shows of objects ends
   /// there, for a plane that is drawn itself would have to be bent. At most kMaxPlanes count.
   static constexpr std::size_t kMaxPlanes = 16;
   void set_hiding_planes(GLuint program, std::span<const glm::dvec4> planes) const;
 
  private:
-  using Programs = std::array<GlProgram, 4>;  // by LayerDrawing
+  using Programs = std::array<GlProgram, 3>;  // by LayerDrawing
   struct LensTable {
     std::shared_ptr<const ViewLens> lens;
     GlTexture radius{};
   };
   explicit LayerPrograms(Programs pinhole) : pinhole_(std::move(pinhole)) {}
-  static Result<Programs> make(bool lens, bool cut);
+  enum class Way : std::uint8_t { kPinhole, kLens, kCutLens };
+  static Result<Programs> make(Way way);
+  void set_projection(GLuint program, const ViewProjection& from_points) const;
 
   Programs pinhole_;
   std::optional<Programs> lens_, cut_lens_;
+  std::map<std::pair<Way, GlossyFeatures>, GlProgram> glossy_;
   std::vector<LensTable> tables_;  // one a camera
 };
 

@@ -154,7 +154,7 @@ Layers::Middles Layers::refine(prt::Mesh& mesh) const {
 
 int Layers::add_object(const prt::BakedObject& baked, const Appearance& appearance) {
   const prt::Bounds bounds = bounds_of(baked.mesh);
-  const bool pictures = appearance.texture || !appearance.texels.empty() || baked.surface;
+  const bool pictures = appearance.texture || !appearance.texels.empty();
   prt::Mesh mesh = baked.mesh;
   Middles middles = refine(mesh);
   DrawnObject o{.middles = std::move(middles),
@@ -165,7 +165,7 @@ int Layers::add_object(const prt::BakedObject& baked, const Appearance& appearan
                 .stride = baked.transfer.stride,
                 .bounds = bounds,
                 .area_m2 = area_m2(mesh)};
-  if (!fine_ && !pictures) o.contour.emplace(mesh);
+  if (!fine_ && !pictures && !baked.surface) o.contour.emplace(mesh);
   if (o.contour || baked.surface) o.positions = mesh.positions;
   glBindVertexArray(o.geometry.get());
   glBindBuffer(GL_ARRAY_BUFFER, o.vertices.get());
@@ -179,6 +179,8 @@ int Layers::add_object(const prt::BakedObject& baked, const Appearance& appearan
     if (surroundings_) glossy_->set_surroundings(*surroundings_);
     o.glossy = glossy_->add(baked, mesh, o.middles, o.triangles);
     o.albedo.assign(baked.mesh.positions.size(), Rgb{1, 1, 1});
+    mesh.triangles = o.triangles;
+    if (!fine_ && o.glossy->has_plain_edges()) o.contour.emplace(mesh);
   }
   glBindBuffer(GL_ELEMENT_ARRAY_BUFFER, o.indices.get());
   glBufferData(GL_ELEMENT_ARRAY_BUFFER, bytes_of(o.triangles), o.triangles.data(), GL_STATIC_DRAW);
@@ -379,18 +381,28 @@ void Layers::set_light_shares(int object, std::span<const std::array<float, 4>> 
   o.changed = true;
 }
 
-GLuint Layers::use_program(const View& view, const ViewProjection& from_world,
-                           const DrawnObject& o) const {
-  const LayerDrawing drawing = o.glossy       ? LayerDrawing::kGlossyObject
-                               : o.albedo_map ? LayerDrawing::kTexturedObject
-                                              : LayerDrawing::kObject;
+GLuint Layers::use_program(const View& view, const ViewProjection& from_world, const DrawnObject& o,
+                           std::optional<GlossyFeatures> glossy) const {
+  const LayerDrawing drawing = o.albedo_map ? LayerDrawing::kTexturedObject : LayerDrawing::kObject;
   const ViewProjection from_object = from_world.of(o.world_from_bake);
   const std::vector<glm::dvec4> planes =
       view.lens ? hiding_planes(o, view.camera) : std::vector<glm::dvec4>();
   const bool cut = !planes.empty() || from_object.may_cut(corners_of(o.bounds));
-  const GLuint program = programs_.use(drawing, from_object, cut);
+  const GLuint program = glossy ? programs_.use_glossy(*glossy, from_object, cut)
+                                : programs_.use(drawing, from_object, cut);
   if (view.lens && cut) programs_.set_hiding_planes(program, planes);
+  glUniform1f(glGetUniformLocation(program, "signal_per_radiance"), view.signal_per_radiance);
   return program;
+}
+
+Result<void> Layers::prepare_programs(const View& view) {
+  PENUMBRA_TRY(programs_.prepare(view.lens));
+  for (const DrawnObject& o : objects_)
+    if (o.glossy)
+      for (const GlossyObject::Part& part : o.glossy->parts)
+        PENUMBRA_TRY(
+            programs_.prepare_glossy(glossy_->features_of(*o.glossy, part), view.lens.get()));
+  return {};
 }
 
 void Layers::draw_objects(const View& view, const ViewProjection& from_world, const Rect& region,
@@ -398,7 +410,6 @@ void Layers::draw_objects(const View& view, const ViewProjection& from_world, co
   for (DrawnObject& o : objects_) {
     if (o.glossy || !o.visible || !meet(reach_of(o, from_world), region)) continue;
     const GLuint program = use_program(view, from_world, o);
-    glUniform1f(glGetUniformLocation(program, "signal_per_radiance"), view.signal_per_radiance);
     if (o.albedo_map) bind_pictures(o, program);
     if (fronts_only(o, view.camera.world_from_camera.translation)) glEnable(GL_CULL_FACE);
     glBindVertexArray(o.geometry.get());
@@ -411,24 +422,23 @@ void Layers::draw_objects(const View& view, const ViewProjection& from_world, co
 
 // Farthest objects first, so that what is blended lies over what is behind it.
 void Layers::draw_glossy(const View& view, const ViewProjection& from_world, const Rect& region,
-                         bool blended) {
+                         bool seen_alone, bool blended) {
   const glm::dvec3& eye = view.camera.world_from_camera.translation;
   std::vector<DrawnObject*> order;
   for (DrawnObject& o : objects_)
-    if (o.glossy && o.visible && meet(reach_of(o, from_world), region)) order.push_back(&o);
+    if (o.glossy && o.visible && o.glossy->any(blended) && meet(reach_of(o, from_world), region))
+      order.push_back(&o);
   std::ranges::sort(order, std::greater(),
                     [&](const DrawnObject* o) { return distance_to_box(*o, eye); });
   for (DrawnObject* const o : order) {
-    if (blended && std::ranges::none_of(o->glossy->parts, [&](const GlossyObject::Part& p) {
-          return o->glossy->is_blended(p);
-        }))
-      continue;
-    const GLuint program = use_program(view, from_world, *o);
-    glUniform1f(glGetUniformLocation(program, "signal_per_radiance"), view.signal_per_radiance);
+    const auto use = [&](GlossyFeatures features) {
+      return use_program(view, from_world, *o, features);
+    };
     glBindVertexArray(o->geometry.get());
-    glossy_->draw(*o->glossy, program,
-                  {o->world_from_bake, eye, fronts_only(*o, eye), o->indices.get(), o->triangles,
-                   o->positions},
+    const auto triangles = seen_alone ? o->contour->seen() : std::span(o->triangles);
+    glossy_->draw(*o->glossy, use,
+                  {o->world_from_bake, eye, fronts_only(*o, eye),
+                   (seen_alone ? o->seen : o->indices).get(), triangles, o->positions},
                   blended);
   }
 }
@@ -469,7 +479,8 @@ Result<void> Layers::draw_on(Canvas& canvas, const View& view, const ViewProject
   if (!view.lens) draw_hiding_planes(view.camera.world_from_camera.translation, from_world);
   glColorMask(GL_TRUE, GL_TRUE, GL_TRUE, GL_TRUE);
   draw_objects(view, from_world, out.rect, &canvas == &plain_canvas_);
-  for (const bool blended : {false, true}) draw_glossy(view, from_world, out.rect, blended);
+  for (const bool blended : {false, true})
+    draw_glossy(view, from_world, out.rect, &canvas == &plain_canvas_, blended);
   canvas.finish(out);
   return {};
 }
@@ -487,6 +498,7 @@ Result<void> check_gl() {
 Result<void> Layers::draw(const View& view, const Rect& receiver_area, CommonLayer& objects_layer,
                           CommonLayer& hidden_layer) {
   // A camera on a tripod: what unchanged objects in unchanged light show still holds.
+  PENUMBRA_TRY(prepare_programs(view));
   if (drawn_ && drawn_->shows(view, receiver_area, has_occluders())) {
     PENUMBRA_ASSIGN(done, redraw_changed(view, objects_layer));
     if (done) {
@@ -498,7 +510,6 @@ Result<void> Layers::draw(const View& view, const Rect& receiver_area, CommonLay
   drawn_.reset();
   Layer &objects = objects_layer.renewed(), &hidden = hidden_layer.renewed();
   const ViewProjection from_world(view.camera, view.lens.get());
-  PENUMBRA_TRY(programs_.prepare(view.lens));
   PENUMBRA_ASSIGN(by_contours, draw_layer_of_objects(view, from_world, objects));
   hidden.rect = occluders_.empty() ? Rect{} : receiver_area;
   for (const OccluderMesh& mesh : occluder_meshes_)

@@ -133,8 +133,9 @@ class Layers {
                                  std::span<const glm::vec2> coordinates);
   std::vector<glm::dvec4> hiding_planes(const DrawnObject& object,
                                         const prt::PinholeView& camera) const;
-  GLuint use_program(const View& view, const ViewProjection& from_world,
-                     const DrawnObject& object) const;
+  GLuint use_program(const View& view, const ViewProjection& from_world, const DrawnObject& object,
+                     std::optional<GlossyFeatures> glossy = {}) const;
+  Result<void> prepare_programs(const View& view);
   static void add_pictures(DrawnObject& object, const prt::BakedObject& baked,
                            const Appearance& appearance);
   static void fill_light_map(LightMap& map, std::span<const float> relit, std::size_t stride,
@@ -144,7 +145,7 @@ class Layers {
                     bool seen_alone);
   void bind_pictures(const DrawnObject& object, GLuint program) const;
   void draw_glossy(const View& view, const ViewProjection& from_world, const Rect& region,
-                   bool blended);
+                   bool seen_alone, bool blended);
   Result<bool> draw_layer_of_objects(const View& view, const ViewProjection& from_world,
                                      Layer& out);
   Result<bool> redraw_changed(const View& view, CommonLayer& objects);
