@@ -12,6 +12,7 @@
 #include "core/io/log.h"
 #include "prt/bake/baked_file.h"
 #include "prt/geometry/ground_grid.h"
+#include "prt/geometry/masked.h"
 #include "prt/geometry/receiver.h"
 #include "runtime/scene/animated.h"
 #include "runtime/scene/bake_cache.h"
@@ -220,12 +221,18 @@ Result<LoadedAsset> load_asset(const std::string& asset, Rgb albedo, float edge_
     mesh = std::move(imported.mesh);
     out.surface = std::move(imported.surface);
   }
+  std::shared_ptr<prt::SurfaceMaterials> materials;
+  if (out.surface) {
+    materials = std::make_shared<prt::SurfaceMaterials>(*out.surface);
+    constexpr float kMaskEdge = .01f;  // of the radius: how finely light goes through holes
+    prt::cut_masked_away(mesh, *materials, kMaskEdge * prt::radius_of(mesh));
+    if (mesh.triangles.empty())
+      return fail(ErrorCode::kInvalid, asset, "is masked away as a whole");
+    out.surface = materials;
+  }
   if (!(edge_fraction > 0)) return out;
   const auto middles = prt::subdivide(mesh, edge_fraction * prt::radius_of(mesh));
-  if (!out.surface) return out;
-  auto fine = std::make_shared<prt::SurfaceMaterials>(*out.surface);
-  fine->extend(middles);
-  out.surface = std::move(fine);
+  if (materials) materials->extend(middles);
   return out;
 }
 
