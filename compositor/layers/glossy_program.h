@@ -70,7 +70,7 @@ void main() {
 })";
 
 // Diffuse light by transfer, what is reflected from the maps of the surroundings by the split sum,
-// and the lights as discs. Sources: glTF 2.0, appendix B; Karis 2013; Turquin 2019 (more_than_once);
+// and the lights as discs. Sources: glTF 2.0, appendix B; Karis 2013; Turquin 2019 (again);
 // Lagarde & de Rousiers 2014 (occlusion of reflections by the openness).
 inline constexpr const char* kGlossyFragment = R"(
 in vec3 light, at, up;
@@ -99,7 +99,8 @@ vec2 place_of(int map) {
 }
 vec3 open_irradiance(vec3 n) {
   return irradiance_sh[0] + irradiance_sh[1] * n.y + irradiance_sh[2] * n.z +
-         irradiance_sh[3] * n.x + irradiance_sh[4] * (n.x * n.y) + irradiance_sh[5] * (n.y * n.z) +
+         irradiance_sh[3] * n.x +
+         irradiance_sh[4] * (n.x * n.y) + irradiance_sh[5] * (n.y * n.z) +
          irradiance_sh[6] * (3.0 * n.z * n.z - 1.0) + irradiance_sh[7] * (n.x * n.z) +
          irradiance_sh[8] * (n.x * n.x - n.y * n.y);
 }
