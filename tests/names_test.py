@@ -110,7 +110,7 @@ TABLES = {
         "compare": ["tools/chart/command_compare.cpp: print_json("]},
 }
 # Names that stand somewhere below a heading, in rows on what holds them or in prose.
-INSPECT = "tools/penumbra/command_inspect.cpp"
+INSPECT, MESH = "tools/penumbra/command_inspect.cpp", "tools/penumbra/inspect_mesh.cpp"
 OVERTAKEN = f"{REPORT}: json to_json(const OvertakenFrames&"
 MENTIONED = {
     "http.md": {"`/healthz`": OVERTAKEN},
@@ -118,10 +118,11 @@ MENTIONED = {
         "demo, composite and summary.json": f"{REPORT}: json to_json(const StageTimes& + {OVERTAKEN}",
         "inspect": " + ".join(f"{INSPECT}: {start}" for start in (
             "json to_json(const capture::CameraInfo&", "inspect_capture(", "inspect_baked(",
-            "inspect_mesh(", "inspect_picture(", "inspect_camera(", "inspect_response(",
+            "inspect_picture(", "inspect_camera(", "inspect_response(",
             "inspect_noise(", "inspect_vignetting(", "inspect_colour(", "inspect_poses(",
             "inspect_rig(", "inspect_scene(", "inspect_cameras(", '".shlm") {',
-            "inspect(const")) + " - calibration colour",
+            "inspect(const")) + f" + {MESH}: json to_json( + {MESH}: json textures_of( + "
+                            f"{MESH}: inspect_mesh( - calibration colour",
         "calibrate": " + ".join(f"tools/calibrate/command_{place}" for place in (
             "calibrate.cpp: json to_json(", 'calibrate.cpp: print_json({{"pictures"',
             "vignetting.cpp: print_json(", "ball.cpp: {{\"centre_m\"", "noise.cpp: json to_json(",

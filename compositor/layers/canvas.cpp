@@ -19,30 +19,50 @@ bool Canvas::fits(const Rect& rect) const {
   return w <= width_ && h <= height_ && static_cast<long>(width_) * height_ <= 2l * w * h;
 }
 
-// DrawnLayers larger and averaged: without a GPU that takes less time than multisampling.
+// What is drawn on: depth beside colour, in samples or larger than the rest.
+void Canvas::attach_fine(Target& t) {
+  const GLsizei samples = multisampled_ ? kSamples : 0;
+  const int width = t.scale * width_, height = t.scale * height_;
+  if (multisampled_) {
+    glBindRenderbuffer(GL_RENDERBUFFER, samples_.get());
+    glRenderbufferStorageMultisample(GL_RENDERBUFFER, samples, GL_RGBA16F, width, height);
+    glFramebufferRenderbuffer(GL_FRAMEBUFFER, GL_COLOR_ATTACHMENT0, GL_RENDERBUFFER,
+                              samples_.get());
+  }
+  glBindRenderbuffer(GL_RENDERBUFFER, fine_depth_.get());
+  glRenderbufferStorageMultisample(GL_RENDERBUFFER, samples, GL_DEPTH_COMPONENT24, width, height);
+  glFramebufferRenderbuffer(GL_FRAMEBUFFER, GL_DEPTH_ATTACHMENT, GL_RENDERBUFFER,
+                            fine_depth_.get());
+}
+
+// Larger and averaged: without a GPU that takes less time than multisampling, as long as shading
+// takes next to none.
 Result<void> Canvas::make_targets() {
   targets_.clear();
   fine_depth_ = {};
-  for (int scale = oversampling_; scale >= 1; scale /= 2) {
+  samples_ = {};
+  const auto add = [&](int scale, bool fine) -> Result<void> {
     Target t;
     t.scale = scale;
     glBindFramebuffer(GL_FRAMEBUFFER, t.framebuffer.get());
-    glBindTexture(GL_TEXTURE_2D, t.colour.get());
-    glTexStorage2D(GL_TEXTURE_2D, 1, GL_RGBA16F, scale * width_, scale * height_);
-    glFramebufferTexture2D(GL_FRAMEBUFFER, GL_COLOR_ATTACHMENT0, GL_TEXTURE_2D, t.colour.get(), 0);
-    if (scale == oversampling_) {
-      glBindRenderbuffer(GL_RENDERBUFFER, fine_depth_.get());
-      glRenderbufferStorage(GL_RENDERBUFFER, GL_DEPTH_COMPONENT24, scale * width_, scale * height_);
-      glFramebufferRenderbuffer(GL_FRAMEBUFFER, GL_DEPTH_ATTACHMENT, GL_RENDERBUFFER,
-                                fine_depth_.get());
+    if (!fine || !multisampled_) {
+      glBindTexture(GL_TEXTURE_2D, t.colour.get());
+      glTexStorage2D(GL_TEXTURE_2D, 1, GL_RGBA16F, scale * width_, scale * height_);
+      glFramebufferTexture2D(GL_FRAMEBUFFER, GL_COLOR_ATTACHMENT0, GL_TEXTURE_2D, t.colour.get(),
+                             0);
     }
+    if (fine) attach_fine(t);
     if (glCheckFramebufferStatus(GL_FRAMEBUFFER) != GL_FRAMEBUFFER_COMPLETE) {
       width_ = height_ = 0;
       return fail(ErrorCode::kUnavailable, "GL",
                   "cannot render to half-float framebuffers of this size");
     }
     targets_.push_back(std::move(t));
-  }
+    return {};
+  };
+  PENUMBRA_TRY(add(oversampling_, true));
+  if (multisampled_) PENUMBRA_TRY(add(oversampling_, false));
+  for (int scale = oversampling_ / 2; scale >= 1; scale /= 2) PENUMBRA_TRY(add(scale, false));
   return {};
 }
 
@@ -71,7 +91,7 @@ void Canvas::finish(Layer& out) {
     glBindFramebuffer(GL_READ_FRAMEBUFFER, targets_[i - 1].framebuffer.get());
     glBindFramebuffer(GL_DRAW_FRAMEBUFFER, targets_[i].framebuffer.get());
     glBlitFramebuffer(0, 0, from * w, from * h, 0, 0, to * w, to * h, GL_COLOR_BUFFER_BIT,
-                      GL_LINEAR);
+                      from == to ? GL_NEAREST : GL_LINEAR);
   }
   out.halves.resize(static_cast<std::size_t>(w) * static_cast<std::size_t>(h) * 4);
   glBindFramebuffer(GL_READ_FRAMEBUFFER, targets_.back().framebuffer.get());

@@ -43,8 +43,10 @@ struct CommonLayer {
 /// it.
 class Canvas {
  public:
-  /// oversampling: samples a pixel along each axis, a power of two.
-  explicit Canvas(int oversampling) : oversampling_(oversampling) {}
+  /// oversampling: samples a pixel along each axis, a power of two; multisampled: four samples a
+  /// pixel that are shaded once, for programs that take long.
+  explicit Canvas(int oversampling, bool multisampled = false)
+      : oversampling_(oversampling), multisampled_(multisampled) {}
 
   /// Cleared to nothing, with the viewport of a frame of that size placed so that the rectangle
   /// lies in the corner.
@@ -60,12 +62,16 @@ class Canvas {
     int scale;
   };
   bool fits(const Rect& rect) const;
+  void attach_fine(Target& target);
   Result<void> make_targets();
 
+  static constexpr GLsizei kSamples = 4;
+
   int oversampling_;
+  bool multisampled_;
   int width_ = 0, height_ = 0;  // pixels that there is room for
   std::vector<Target> targets_;
-  GlRenderbuffer fine_depth_;
+  GlRenderbuffer fine_depth_, samples_;
 };
 
 }  // namespace penumbra::compositor

@@ -106,7 +106,7 @@ void set(GLuint program, const char* name, const Rgb& c) {
 
 bool GlossyObject::is_blended(const Part& part) const {
   const prt::Material& m = surface->materials[part.material];
-  return m.alpha == prt::Material::Alpha::kBlend || m.transmission > 0;
+  return m.alpha != prt::Material::Alpha::kOpaque || m.transmission > 0;
 }
 
 bool GlossyObject::any(bool blended) const {

@@ -56,8 +56,8 @@ layout(location = 6) in vec4 coordinates;
 layout(location = 7) in vec4 tint_and_openness;
 layout(location = 8) in vec4 light_shares;
 uniform mat4 world_from_object;
-out vec3 light, at, up;
-out vec4 along, place, tint, shares;
+centroid out vec3 light, at, up;
+centroid out vec4 along, place, tint, shares;
 void main() {
   light = irradiance;
   at = (world_from_object * vec4(position, 1)).xyz;
@@ -73,8 +73,8 @@ void main() {
 // and the lights as discs. Sources: glTF 2.0, appendix B; Karis 2013; Turquin 2019 (again);
 // Lagarde & de Rousiers 2014 (occlusion of reflections by the openness).
 inline constexpr const char* kGlossyFragment = R"(
-in vec3 light, at, up;
-in vec4 along, place, tint, shares;
+centroid in vec3 light, at, up;
+centroid in vec4 along, place, tint, shares;
 uniform float signal_per_radiance, emission_unit, largest_level;
 uniform vec3 eye;
 uniform vec4 base_colour;
@@ -141,9 +141,10 @@ void main() {
   base *= texture(base_colour_map, place_of(0));
 #endif
 #ifdef MASK
-  if (base.a < alpha_cutoff) discard;
-#endif
-#ifndef BLEND
+  // The edge of the mask is a pixel wide, however large the texture is seen.
+  base.a = clamp((base.a - alpha_cutoff) / max(fwidth(base.a), 1e-4) + 0.5, 0.0, 1.0);
+  if (base.a == 0.0) discard;
+#elif !defined(BLEND)
   base.a = 1.0;
 #endif
 #ifdef UNLIT

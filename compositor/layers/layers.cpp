@@ -458,6 +458,13 @@ Rect Layers::reach_of_objects(const ViewProjection& from_world) const {
   return out;
 }
 
+// Where several samples a pixel are taken: of programs that take long not all are shaded.
+Canvas& Layers::canvas_of_samples(const ViewProjection& from_world) {
+  const bool glossy = std::ranges::any_of(
+      objects_, [&](const DrawnObject& o) { return o.glossy && in_view(o, from_world); });
+  return glossy && !fine_ ? glossy_canvas_ : objects_canvas_;
+}
+
 // True where one sample a pixel did.
 Result<bool> Layers::draw_layer_of_objects(const View& view, const ViewProjection& from_world,
                                            Layer& out) {
@@ -467,7 +474,7 @@ Result<bool> Layers::draw_layer_of_objects(const View& view, const ViewProjectio
     PENUMBRA_TRY(draw_on(plain_canvas_, view, from_world, out));
     if (smoother_.smooth(lines_, out)) return true;
   }
-  PENUMBRA_TRY(draw_on(objects_canvas_, view, from_world, out));
+  PENUMBRA_TRY(draw_on(canvas_of_samples(from_world), view, from_world, out));
   return false;
 }
 

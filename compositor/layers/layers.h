@@ -122,6 +122,7 @@ class Layers {
         height_(height),
         fine_(oversampling > 2),
         objects_canvas_(oversampling),
+        glossy_canvas_(1, true),
         plain_canvas_(1),
         hidden_canvas_(oversampling),
         programs_(std::move(programs)),
@@ -144,6 +145,7 @@ class Layers {
   void draw_objects(const View& view, const ViewProjection& from_world, const Rect& region,
                     bool seen_alone);
   void bind_pictures(const DrawnObject& object, GLuint program) const;
+  Canvas& canvas_of_samples(const ViewProjection& from_world);
   void draw_glossy(const View& view, const ViewProjection& from_world, const Rect& region,
                    bool seen_alone, bool blended);
   Result<bool> draw_layer_of_objects(const View& view, const ViewProjection& from_world,
@@ -167,7 +169,7 @@ class Layers {
 
   int width_, height_;
   bool fine_;  // stills: four samples or more everywhere
-  Canvas objects_canvas_, plain_canvas_, hidden_canvas_;
+  Canvas objects_canvas_, glossy_canvas_, plain_canvas_, hidden_canvas_;
   LayerPrograms programs_;
   double max_edge_m_ = std::numeric_limits<double>::infinity();
   GlTexture white_;               // of one texel

@@ -87,7 +87,7 @@ Result<bool> Layers::redraw_changed(const View& view, CommonLayer& objects) {
     PENUMBRA_TRY(draw_on(plain_canvas_, view, from_world, part_));
     if (!smoother_.smooth(lines_, part_)) return false;
   } else {
-    PENUMBRA_TRY(draw_on(objects_canvas_, view, from_world, part_));
+    PENUMBRA_TRY(draw_on(canvas_of_samples(from_world), view, from_world, part_));
   }
   replace(part_, kept, whole, objects);
   keep_as_drawn(from_world);

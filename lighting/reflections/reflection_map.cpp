@@ -33,6 +33,19 @@ TangentFrame frame_around(const glm::vec3& z) {
   return {x, glm::cross(z, x), z};
 }
 
+// what(face, x, y, direction of the texel's middle), on several threads.
+template <class What>
+void for_texels(int size, const What& what) {
+  const auto place = [size](int i) {
+    return (static_cast<float>(i) + .5f) / static_cast<float>(size);
+  };
+  parallel_for(0, 6 * size, 4, [&](const auto& rows) {
+    for (int row = rows.begin(); row < rows.end(); ++row)
+      for (int x = 0; x < size; ++x)
+        what(row / size, x, row % size, cube_direction(row / size, place(x), place(row % size)));
+  });
+}
+
 // Between the four nearest pixels, around the seam; at the poles those of the last row.
 Rgb sample_latlong(const Image<Rgb>& map, const glm::vec3& d) {
   const glm::dvec2 p = latlong_pixel(d, map.width(), map.height());
@@ -135,22 +148,28 @@ void ReflectionFilter::fill_base(const Image<Rgb>& map, const Image<float>& conf
   for (std::size_t i = 1; i < pyramid_.size(); ++i) pyramid_[i] = halved(pyramid_[i - 1]);
 }
 
+// Narrow lobes are still some texels wide at half the size, for a quarter of the time.
 void ReflectionFilter::filter_level(int level, CubeMap& out) const {
-  const int size = face_of(level);
+  constexpr int kFine = 32;
+  if (out.size() > kFine) {
+    CubeMap half(out.size() / 2);
+    sum_lobes(level, half);
+    for_texels(out.size(), [&](int face, int x, int y, const glm::vec3& direction) {
+      out.faces[static_cast<std::size_t>(face)].at(x, y) = sample(half, direction);
+    });
+  } else {
+    sum_lobes(level, out);
+  }
+}
+
+void ReflectionFilter::sum_lobes(int level, CubeMap& out) const {
   const auto& samples = lobes_[static_cast<std::size_t>(level)];
-  parallel_for(0, 6 * size, 4, [&](const auto& rows) {
-    for (int row = rows.begin(); row < rows.end(); ++row)
-      for (int x = 0; x < size; ++x) {
-        const int face = row / size, y = row % size;
-        const TangentFrame frame = frame_around(
-            cube_direction(face, (static_cast<float>(x) + .5f) / static_cast<float>(size),
-                           (static_cast<float>(y) + .5f) / static_cast<float>(size)));
-        Rgb sum;
-        for (const LobeSample& s : samples)
-          sum +=
-              sample(pyramid_[static_cast<std::size_t>(s.halvings)], frame(s.towards)) * s.weight;
-        out.faces[static_cast<std::size_t>(face)].at(x, y) = sum;
-      }
+  for_texels(out.size(), [&](int face, int x, int y, const glm::vec3& direction) {
+    const TangentFrame frame = frame_around(direction);
+    Rgb sum;
+    for (const LobeSample& s : samples)
+      sum += sample(pyramid_[static_cast<std::size_t>(s.halvings)], frame(s.towards)) * s.weight;
+    out.faces[static_cast<std::size_t>(face)].at(x, y) = sum;
   });
 }
 

@@ -58,6 +58,7 @@ class ReflectionFilter {
   };
   void fill_base(const Image<Rgb>& map, const Image<float>& confidence, const RadianceSh& unseen);
   void filter_level(int level, CubeMap& out) const;
+  void sum_lobes(int level, CubeMap& out) const;
   static std::vector<LobeSample> lobe(float roughness, int base);
 
   int first_ = 0, last_ = 0;  // levels

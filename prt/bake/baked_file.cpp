@@ -1,16 +1,21 @@
 #include <fmt/format.h>
-#include <tiny_gltf.h>
 
 #include <algorithm>
 #include <array>
 #include <bit>
 #include <cstring>
 #include <fstream>
+#include <map>
+#include <optional>
+#include <utility>
 
 #include "core/half.h"
 #include "core/io/files.h"
 #include "prt/bake/bake.h"
 #include "prt/bake/baked_file.h"
+#include "prt/bake/internal/baked_surface.h"
+#include "prt/bake/internal/model_reader.h"
+#include "prt/bake/internal/model_writer.h"
 #include "prt/geometry/mesh.h"
 #include "prt/geometry/receiver.h"
 #include "prt/transfer/transfer.h"
@@ -18,9 +23,10 @@
 
 // Layout: one mesh with POSITION, NORMAL, COLOR_0 (albedo) and _TRANSFER_0.. as float vectors of
 // four: value number channel * bands^2 + n stands in component (number % 4) of attribute (number /
-// 4). asset.extras.penumbra holds the rest; the reflected part and the receiver's texels are
-// accessors of half-float bits in the order of prt::Transfer, the vertices' visibility three of
-// words.
+// 4). With materials COLOR_0 is the vertices' tint, as viewers multiply it, and _ALBEDO the albedo;
+// a primitive for each material shares the attributes. asset.extras.penumbra holds the rest; the
+// reflected part and the receiver's texels are accessors of half-float bits in the order of
+// prt::Transfer, the vertices' visibility three of words.
 
 namespace penumbra::prt {
 namespace {
@@ -28,40 +34,6 @@ namespace {
 constexpr int kVersion = 4;
 using tinygltf::Model;
 using tinygltf::Value;
-
-class Writer {
- public:
-  explicit Writer(Model& model) : model_(model) { model_.buffers.emplace_back(); }
-
-  int add(const void* data, std::size_t bytes, std::size_t count, int component, int type,
-          int target) {
-    auto& buffer = model_.buffers[0].data;
-    buffer.resize((buffer.size() + 3) / 4 * 4);
-    tinygltf::BufferView view;
-    view.buffer = 0;
-    view.byteOffset = buffer.size();
-    view.byteLength = bytes;
-    view.target = target;
-    const auto* first = static_cast<const unsigned char*>(data);
-    buffer.insert(buffer.end(), first, first + bytes);
-    model_.bufferViews.push_back(view);
-    tinygltf::Accessor accessor;
-    accessor.bufferView = static_cast<int>(model_.bufferViews.size()) - 1;
-    accessor.componentType = component;
-    accessor.type = type;
-    accessor.count = count;
-    model_.accessors.push_back(accessor);
-    return static_cast<int>(model_.accessors.size()) - 1;
-  }
-  template <class T>
-  int add_vertices(const std::vector<T>& data, int type) {
-    return add(data.data(), data.size() * sizeof(T), data.size(), TINYGLTF_COMPONENT_TYPE_FLOAT,
-               type, TINYGLTF_TARGET_ARRAY_BUFFER);
-  }
-
- private:
-  Model& model_;
-};
 
 Value number(double v) {
   return Value(v);
@@ -118,15 +90,15 @@ Value::Object describe(const BakedObject& o, const OwnAccessors& own) {
 
 Model to_model(const BakedObject& o) {
   Model model;
-  Writer writer(model);
-  tinygltf::Primitive primitive;
-  primitive.mode = TINYGLTF_MODE_TRIANGLES;
-  primitive.attributes["POSITION"] = writer.add_vertices(o.mesh.positions, TINYGLTF_TYPE_VEC3);
+  ModelWriter writer(model);
+  std::map<std::string, int> attributes;
+  attributes["POSITION"] = writer.add_vertices(o.mesh.positions, TINYGLTF_TYPE_VEC3);
   const Bounds b = bounds_of(o.mesh);
   model.accessors.back().minValues = {b.low.x, b.low.y, b.low.z};
   model.accessors.back().maxValues = {b.high.x, b.high.y, b.high.z};
-  primitive.attributes["NORMAL"] = writer.add_vertices(o.mesh.normals, TINYGLTF_TYPE_VEC3);
-  primitive.attributes["COLOR_0"] = writer.add_vertices(o.mesh.albedo, TINYGLTF_TYPE_VEC3);
+  attributes["NORMAL"] = writer.add_vertices(o.mesh.normals, TINYGLTF_TYPE_VEC3);
+  attributes[o.surface ? "_ALBEDO" : "COLOR_0"] =
+      writer.add_vertices(o.mesh.albedo, TINYGLTF_TYPE_VEC3);
   const int per_channel = coefficient_count(o.transfer.bands),
             values = o.transfer.channels * per_channel;
   for (int first = 0; first < values; first += 4) {
@@ -135,12 +107,11 @@ Model to_model(const BakedObject& o) {
       for (int k = 0; k < 4 && first + k < values; ++k)
         quad[p][static_cast<std::size_t>(k)] =
             o.transfer.value((first + k) / per_channel, (first + k) % per_channel, p);
-    primitive.attributes[fmt::format("_TRANSFER_{}", first / 4)] =
+    attributes[fmt::format("_TRANSFER_{}", first / 4)] =
         writer.add_vertices(quad, TINYGLTF_TYPE_VEC4);
   }
-  primitive.indices = writer.add(o.mesh.triangles.data(), o.mesh.triangles.size() * 12,
-                                 o.mesh.triangles.size() * 3, TINYGLTF_COMPONENT_TYPE_UNSIGNED_INT,
-                                 TINYGLTF_TYPE_SCALAR, TINYGLTF_TARGET_ELEMENT_ARRAY_BUFFER);
+  add_surface(o.surface.get(), writer, attributes);
+  add_primitives(o.mesh, o.surface.get(), writer, attributes);
   const auto add_halves = [&](const Transfer& t) {
     return writer.add(t.values.data(), t.values.size() * 2, t.values.size(),
                       TINYGLTF_COMPONENT_TYPE_UNSIGNED_SHORT, TINYGLTF_TYPE_SCALAR, 0);
@@ -170,7 +141,6 @@ Model to_model(const BakedObject& o) {
     }
     if (o.shadow_probes.points > 0) own.shadow_probes = add_halves(o.shadow_probes);
   }
-  model.meshes.emplace_back().primitives.push_back(primitive);
   model.nodes.emplace_back().mesh = 0;
   model.scenes.emplace_back().nodes = {0};
   model.defaultScene = 0;
@@ -182,55 +152,28 @@ Model to_model(const BakedObject& o) {
   return model;
 }
 
-// Bytes of an accessor, checked against view and buffer; nothing when anything is off.
-std::optional<std::span<const unsigned char>> accessor_bytes(const Model& m, int index,
-                                                             int component, int type,
-                                                             std::size_t element_bytes) {
-  if (index < 0 || static_cast<std::size_t>(index) >= m.accessors.size()) return std::nullopt;
-  const auto& a = m.accessors[static_cast<std::size_t>(index)];
-  if (a.componentType != component || a.type != type || a.bufferView < 0 || a.byteOffset != 0 ||
-      static_cast<std::size_t>(a.bufferView) >= m.bufferViews.size())
-    return std::nullopt;
-  const auto& v = m.bufferViews[static_cast<std::size_t>(a.bufferView)];
-  if (v.buffer < 0 || static_cast<std::size_t>(v.buffer) >= m.buffers.size() || v.byteStride != 0)
-    return std::nullopt;
-  const auto& data = m.buffers[static_cast<std::size_t>(v.buffer)].data;
-  if (v.byteOffset > data.size() || v.byteLength > data.size() - v.byteOffset ||
-      a.count > v.byteLength / element_bytes)
-    return std::nullopt;
-  return std::span(data).subspan(v.byteOffset, a.count * element_bytes);
-}
-
-template <class T>
-bool read_attribute(const Model& m, const tinygltf::Primitive& p, const std::string& name, int type,
-                    std::vector<T>& out) {
-  const auto found = p.attributes.find(name);
-  if (found == p.attributes.end()) return false;
-  const auto bytes =
-      accessor_bytes(m, found->second, TINYGLTF_COMPONENT_TYPE_FLOAT, type, sizeof(T));
-  if (!bytes) return false;
-  out.resize(bytes->size() / sizeof(T));
-  if (!out.empty()) std::memcpy(out.data(), bytes->data(), bytes->size());
-  return !out.empty();
-}
-
-bool finite(std::span<const float> values) {
-  return std::ranges::all_of(values, [](float v) { return std::isfinite(v); });
-}
-
-bool read_mesh(const Model& m, const tinygltf::Primitive& p, Mesh& mesh) {
-  if (!read_attribute(m, p, "POSITION", TINYGLTF_TYPE_VEC3, mesh.positions) ||
-      !read_attribute(m, p, "NORMAL", TINYGLTF_TYPE_VEC3, mesh.normals) ||
-      !read_attribute(m, p, "COLOR_0", TINYGLTF_TYPE_VEC3, mesh.albedo))
-    return false;
-  const std::size_t n = mesh.positions.size();
+bool read_triangles(const Model& m, const tinygltf::Primitive& p, Mesh& mesh) {
   const auto indices =
       accessor_bytes(m, p.indices, TINYGLTF_COMPONENT_TYPE_UNSIGNED_INT, TINYGLTF_TYPE_SCALAR, 4);
-  if (n == 0 || mesh.normals.size() != n || mesh.albedo.size() != n || !indices ||
-      indices->size() % 12 != 0)
+  if (!indices || indices->size() % 12 != 0) return false;
+  const std::size_t before = mesh.triangles.size();
+  mesh.triangles.resize(before + indices->size() / 12);
+  std::memcpy(mesh.triangles.data() + before, indices->data(), indices->size());
+  return true;
+}
+
+bool read_mesh(const Model& m, Mesh& mesh) {
+  const auto& primitives = m.meshes[0].primitives;
+  const auto& p = primitives[0];
+  const char* albedo = p.attributes.contains("_ALBEDO") ? "_ALBEDO" : "COLOR_0";
+  if (!read_attribute(m, p, "POSITION", TINYGLTF_TYPE_VEC3, mesh.positions) ||
+      !read_attribute(m, p, "NORMAL", TINYGLTF_TYPE_VEC3, mesh.normals) ||
+      !read_attribute(m, p, albedo, TINYGLTF_TYPE_VEC3, mesh.albedo))
     return false;
-  mesh.triangles.resize(indices->size() / 12);
-  std::memcpy(mesh.triangles.data(), indices->data(), indices->size());
+  const std::size_t n = mesh.positions.size();
+  if (n == 0 || mesh.normals.size() != n || mesh.albedo.size() != n) return false;
+  for (const auto& part : primitives)
+    if (part.attributes != p.attributes || !read_triangles(m, part, mesh)) return false;
   return !mesh.triangles.empty() && finite({&mesh.positions[0].x, 3 * n}) &&
          finite({&mesh.normals[0].x, 3 * n}) && finite({&mesh.albedo[0].r, 3 * n}) &&
          std::ranges::all_of(mesh.triangles,
@@ -365,13 +308,11 @@ Result<BakedObject> from_model(const Model& m, const std::string& file) {
   const double bands = get(*extras, "bands"), channels = get(*extras, "channels");
   if (!(bands >= 1 && bands <= kMaxBands) || !(channels == 1 || channels == 3))
     return fail(ErrorCode::kUnreadable, file, "is damaged: its bands or channels are out of range");
-  if (m.meshes.size() != 1 || m.meshes[0].primitives.size() != 1)
-    return fail(ErrorCode::kUnreadable, file,
-                "is damaged: it does not have one mesh with one primitive");
+  if (m.meshes.size() != 1 || m.meshes[0].primitives.empty())
+    return fail(ErrorCode::kUnreadable, file, "is damaged: it does not have one mesh");
   BakedObject o;
   const auto& primitive = m.meshes[0].primitives[0];
-  if (!read_mesh(m, primitive, o.mesh))
-    return fail(ErrorCode::kUnreadable, file, "has a damaged mesh");
+  if (!read_mesh(m, o.mesh)) return fail(ErrorCode::kUnreadable, file, "has a damaged mesh");
   if (!read_transfer(m, primitive, static_cast<int>(bands), static_cast<int>(channels), o))
     return fail(ErrorCode::kUnreadable, file, "has damaged transfer");
   const double reflected_bands = get(*extras, "indirect_bands");
@@ -423,9 +364,14 @@ Result<BakedObject> read_baked(const std::filesystem::path& path) {
   PENUMBRA_ASSIGN(bytes, read_bytes(path));
   Model model;
   std::string error, warning;
+  tinygltf::TinyGLTF loader;
+  // Pictures are decoded with their materials.
+  loader.SetImageLoader([](tinygltf::Image*, int, std::string*, std::string*, int, int,
+                           const unsigned char*, int, void*) { return true; },
+                        nullptr);
   try {
-    if (!tinygltf::TinyGLTF().LoadBinaryFromMemory(&model, &error, &warning, bytes.data(),
-                                                   static_cast<unsigned>(bytes.size()))) {
+    if (!loader.LoadBinaryFromMemory(&model, &error, &warning, bytes.data(),
+                                     static_cast<unsigned>(bytes.size()))) {
       std::ranges::replace(error, '\n', ' ');
       return fail(ErrorCode::kUnreadable, path.string(),
                   error.empty() ? "is not a binary glTF" : error);
@@ -433,7 +379,10 @@ Result<BakedObject> read_baked(const std::filesystem::path& path) {
   } catch (const std::exception& e) {
     return fail(ErrorCode::kUnreadable, path.string(), e.what());
   }
-  return from_model(model, path.string());
+  PENUMBRA_ASSIGN(object, from_model(model, path.string()));
+  PENUMBRA_ASSIGN(surface, read_surface(model, std::move(bytes), path, object.mesh));
+  object.surface = std::move(surface);
+  return std::move(object);
 }
 
 bool is_baked_file(const std::filesystem::path& path) {

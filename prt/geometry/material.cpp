@@ -1,6 +1,7 @@
 #include "prt/geometry/material.h"
 
 #include <glm/geometric.hpp>
+#include <glm/vec3.hpp>
 
 namespace penumbra::prt {
 

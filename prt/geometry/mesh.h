@@ -64,11 +64,16 @@ struct Import {
   std::size_t degenerate_triangles = 0;  // removed
   // What the file says of the surface beyond an albedo (material.h); null: nothing
   std::shared_ptr<const SurfaceMaterials> surface{};
-  std::vector<std::string> left_out{};  // of the file, a line each
+  std::vector<std::string> left_out{};    // of the file, a line each: not drawn, or approximated
+  std::vector<std::string> extensions{};  // of glTF: those that the file uses
 };
 /// glTF (.gltf, .glb), OBJ, PLY, STL, FBX or COLLADA, at rest pose; normals are made where absent.
-/// Materials give the albedo, `default_albedo` where there is none.
-/// errors:  kNotFound, kUnreadable, kInvalid (no triangles, all degenerate), kNonFinite (vertex
+/// Materials give the albedo, `default_albedo` where there is none. In glTF it is base colour times
+/// the colour of the vertex and the mean of the texture around it, of metal too, which passes as
+/// much light on; emission does not count. The mesh is whole where alpha masks parts of it away
+/// (masked.h).
+/// errors:  kNotFound, kUnreadable, kInvalid (no triangles, all degenerate; glTF: a bad index, what
+/// lies outside the asset's folder, an extension that is required and not read), kNonFinite (vertex
 /// named)
 Result<Import> import_mesh(const std::filesystem::path& path, Rgb default_albedo);
 

@@ -1,6 +1,7 @@
 #!/usr/bin/env python3
 """Runs the program as a user does: cli_test.py PROGRAM [CLASS...]"""
 
+import base64
 import csv
 import json
 import math
@@ -10,6 +11,7 @@ import random
 import re
 import signal
 import shutil
+import struct
 import subprocess
 import sys
 import threading
@@ -395,6 +397,26 @@ class Files(CliTest):
             (self.root / name).write_text(text)
             mesh = self.run_json("inspect", self.root / name)
             self.assertEqual((mesh["kind"], mesh["triangles"], mesh["size_m"]), ("mesh", 1, [1, 0, 1]), name)
+
+    def test_inspect_tells_materials_and_what_is_left_out_of_a_gltf(self):
+        corners = base64.b64encode(struct.pack("<9f", 0, 0, 0, 30, 0, 0, 0, 15, 0)).decode()
+        gold = {"name": "gold", "pbrMetallicRoughness": {"baseColorFactor": [1, 0.75, 0.25, 1],
+                                                         "roughnessFactor": 0.25}}
+        (self.root / "gold.gltf").write_text(json.dumps({
+            "asset": {"version": "2.0"}, "scenes": [{"nodes": [0]}], "nodes": [{"mesh": 0}],
+            "extensionsUsed": ["VENDOR_sparkle"], "materials": [gold],
+            "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "material": 0}]}],
+            "accessors": [{"bufferView": 0, "componentType": 5126, "type": "VEC3", "count": 3}],
+            "bufferViews": [{"buffer": 0, "byteLength": 36}],
+            "buffers": [{"byteLength": 36, "uri": f"data:application/octet-stream;base64,{corners}"}]}))
+        told = self.run_json("inspect", self.root / "gold.gltf")
+        self.assertEqual(told["materials"], [{
+            "name": "gold", "kind": "metal", "base_colour": [1, 0.75, 0.25], "metallic": 1, "roughness": 0.25,
+            "alpha": "opaque", "emission": [0, 0, 0], "maps": []}])
+        self.assertEqual(told["likely_unit"], "centimetres")
+        self.assertEqual(told["extensions"], ["VENDOR_sparkle"])
+        self.assertEqual(told["left_out"], ["extension VENDOR_sparkle is not read"])
+        self.assertEqual(told["textures"], [])
 
     def test_inspect_tells_the_figures_of_calibrations(self):
         pose = "[1,0,0,0, 0,1,0,0, 0,0,1,0, 0.5,0.8,1.75,1]"

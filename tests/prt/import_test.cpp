@@ -10,7 +10,9 @@
 #include <string>
 #include <string_view>
 
+#include "prt/geometry/material.h"
 #include "prt/prt.h"
+#include "tests/support/gltf_maker.h"
 #include "tests/support/shared_data.h"
 #include "tests/support/temp_folder.h"
 
@@ -184,7 +186,8 @@ TEST_F(ImportMesh, MaterialGivesTheAlbedo) {
   // A material without a name is one all the same.
   const Mesh nameless =
       imported("m.gltf", gltf(R"([{"mesh":0}])", R"("material":0)", R"("materials":
-      [{"pbrMetallicRoughness":{"baseColorFactor":[0.8,0.1,0.2,1]}}],)"))
+      [{"pbrMetallicRoughness":{"baseColorFactor":[0.8,0.1,0.2,1],
+        "metallicFactor":0}}],)"))
           .mesh;
   for (const Mesh* mesh : {&obj, &nameless}) {
     ASSERT_EQ(mesh->albedo.size(), 3u);
@@ -207,6 +210,44 @@ TEST_F(ImportMesh, AlbedoStaysBetweenZeroAndOne) {
   for (const Mesh* mesh : {&odd, &coloured})
     for (const Rgb& a : mesh->albedo)
       for (int c = 0; c < 3; ++c) EXPECT_TRUE(a[c] >= 0 && a[c] <= 1) << a[c];
+}
+
+// ------------------------------------------------------------------------------------- pictures
+
+constexpr const char* kTexturedTriangle =
+    "mtllib m.mtl\nusemtl m\nv 0 0 0\nv 1 0 0\nv 0 0 -1\nvt 0 0\nvt 1 0\nvt 0 1\nf 1/1 2/2 3/3\n";
+
+TEST_F(ImportMesh, ThePictureOfAnObjIsDrawnAndItsMeanIsTheAlbedo) {
+  put("m.mtl", "newmtl m\nKd .5 .5 .5\nmap_Kd a.png\n");
+  const auto png = test::encoded(Image<Rgba8>(4, 4, {255, 255, 0, 255}), ".png");
+  put("a.png", {reinterpret_cast<const char*>(png.data()), png.size()});
+  const Import import = imported("m.obj", kTexturedTriangle);
+  ASSERT_TRUE(import.surface);
+  ASSERT_EQ(import.surface->materials.size(), 1u);
+  const Material& m = import.surface->materials[0];
+  EXPECT_EQ(m.name, "m");
+  EXPECT_EQ(m.roughness, 1);
+  EXPECT_EQ(m.metallic, 0);
+  EXPECT_NEAR(m.base_colour.r, .5f, 1e-6);
+  EXPECT_EQ(m.base_colour_map.picture->codes.at(3, 3), (Rgba8{255, 255, 0, 255}));
+  for (std::size_t i = 0; i < import.mesh.positions.size(); ++i) {
+    const glm::vec3& p = import.mesh.positions[i];
+    EXPECT_EQ(import.surface->coordinates[0][i], glm::vec2(p.x, 1 + p.z)) << "v points down";
+    EXPECT_NEAR(import.mesh.albedo[i].r, .5f, 1e-6);
+    EXPECT_NEAR(import.mesh.albedo[i].b, 0, 1e-6);
+  }
+}
+
+TEST_F(ImportMesh, APictureThatCannotBeReadIsSaid) {
+  fs::create_directory(folder_.path() / "sub");
+  put("outside.png", "");
+  for (const char* name : {"absent.png", "../outside.png", "/etc/hostname"}) {
+    put("sub/m.mtl", std::string("newmtl m\nKd .5 .5 .5\nmap_Kd ") + name + "\n");
+    const Import import = imported("sub/m.obj", kTexturedTriangle);
+    EXPECT_FALSE(import.surface) << name;
+    ASSERT_EQ(import.left_out.size(), 1u) << name;
+    EXPECT_NE(import.left_out[0].find(name), std::string::npos) << import.left_out[0];
+  }
 }
 
 // ------------------------------------------------------------------------------------- errors

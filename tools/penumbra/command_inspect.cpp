@@ -21,8 +21,6 @@
 #include "core/io/toml_keys.h"
 #include "prt/bake/baked_file.h"
 #include "prt/clip/sequence.h"
-#include "prt/geometry/animation.h"
-#include "prt/geometry/mesh.h"
 #include "prt/geometry/receiver.h"
 #include "runtime/pipeline/report.h"
 #include "runtime/scene/scene.h"
@@ -30,6 +28,7 @@
 #include "tools/common/command.h"
 #include "tools/common/print.h"
 #include "tools/penumbra/commands.h"
+#include "tools/penumbra/inspect_mesh.h"
 
 namespace penumbra::tools {
 
@@ -88,23 +87,6 @@ Result<json> inspect_baked(const std::string& file) {
         {"height_m", g.height},
         {"albedo", baked.floor.points > 0 ? json() : runtime::to_json(baked.receiver->albedo)}};
   }
-  return out;
-}
-
-Result<json> inspect_mesh(const std::string& file) {
-  PENUMBRA_ASSIGN(imported, prt::import_mesh(file, {.7f, .7f, .7f}));
-  const prt::Bounds b = bounds_of(imported.mesh);
-  json out{{"kind", "mesh"},
-           {"vertices", imported.mesh.positions.size()},
-           {"triangles", imported.mesh.triangles.size()},
-           {"degenerate_triangles", imported.degenerate_triangles},
-           {"size_m", {b.high.x - b.low.x, b.high.y - b.low.y, b.high.z - b.low.z}},
-           {"low_m", {b.low.x, b.low.y, b.low.z}},
-           {"clips", json::array()}};
-  // What cannot be read as a character has no clips.
-  if (const auto character = prt::import_character(file, {.7f, .7f, .7f}))
-    for (const prt::Clip& clip : character->clips)
-      out["clips"].push_back({{"name", clip.name}, {"seconds", clip.seconds}});
   return out;
 }
 

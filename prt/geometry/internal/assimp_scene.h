@@ -8,11 +8,9 @@
 
 #include "core/image.h"
 #include "core/result.h"
+#include "prt/geometry/internal/limits.h"  // IWYU pragma: export
 
 namespace penumbra::prt {
-
-/// Beyond, areas leave the range of floats.
-inline constexpr float kFarthest = 1e9f;
 
 /// Triangles with smooth normals. The scene belongs to the importer. May throw what Assimp throws.
 /// errors: kNotFound, kUnreadable, kInvalid (a kind that is not read)

@@ -1,0 +1,2 @@
+#define TINYGLTF_IMPLEMENTATION
+#include "prt/bake/internal/tinygltf.h"
