@@ -35,14 +35,15 @@ void glossy_attribute(GLuint location, int components, std::size_t offset) {
                         reinterpret_cast<const void*>(offset));
 }
 
-std::vector<VertexAttributes> attributes_of(const GlossyObject& o, const prt::Mesh& mesh) {
+std::vector<VertexAttributes> attributes_of(const GlossyObject& o,
+                                            std::span<const glm::vec3> normals) {
   const prt::SurfaceMaterials& s = *o.surface;
-  std::vector<VertexAttributes> out(mesh.positions.size());
+  std::vector<VertexAttributes> out(normals.size());
   for (std::size_t i = 0; i < out.size(); ++i) {
     const glm::vec2 a = i < s.coordinates[0].size() ? s.coordinates[0][i] : glm::vec2(0),
                     b = i < s.coordinates[1].size() ? s.coordinates[1][i] : a;
     const Rgb tint = i < s.tint.size() ? s.tint[i] : Rgb{1, 1, 1};
-    out[i] = {mesh.normals[i], i < s.tangents.size() ? s.tangents[i] : glm::vec4(1, 0, 0, 1),
+    out[i] = {normals[i], i < s.tangents.size() ? s.tangents[i] : glm::vec4(1, 0, 0, 1),
               glm::vec4(a, b), glm::vec4(tint.r, tint.g, tint.b, o.openness[i])};
   }
   return out;
@@ -233,7 +234,7 @@ GlossyObject Glossy::add(const prt::BakedObject& baked, const prt::Mesh& drawn,
     for (const prt::Texture* map : {&m.metallic_roughness_map, &m.normal_map, &m.occlusion_map})
       upload(*map, false);
   }
-  const std::vector<VertexAttributes> attributes = attributes_of(o, drawn);
+  const std::vector<VertexAttributes> attributes = attributes_of(o, drawn.normals);
   glBindBuffer(GL_ARRAY_BUFFER, o.attributes.get());
   glBufferData(GL_ARRAY_BUFFER, byte_count(attributes), attributes.data(), GL_STATIC_DRAW);
   glossy_attribute(4, 3, offsetof(VertexAttributes, normal));
@@ -248,8 +249,8 @@ GlossyObject Glossy::add(const prt::BakedObject& baked, const prt::Mesh& drawn,
   return o;
 }
 
-void Glossy::update_normals(GlossyObject& o, const prt::Mesh& drawn) {
-  const std::vector<VertexAttributes> attributes = attributes_of(o, drawn);
+void Glossy::update_normals(GlossyObject& o, std::span<const glm::vec3> normals) {
+  const std::vector<VertexAttributes> attributes = attributes_of(o, normals);
   glBindBuffer(GL_ARRAY_BUFFER, o.attributes.get());
   glBufferSubData(GL_ARRAY_BUFFER, 0, byte_count(attributes), attributes.data());
 }

@@ -54,7 +54,7 @@ class Glossy {
   /// Adds its attributes to the vertex array that is bound.
   GlossyObject add(const prt::BakedObject& baked, const prt::Mesh& drawn,
                    const EdgeMiddles& middles, std::vector<GlossyObject::Triangle>& triangles);
-  static void update_normals(GlossyObject& object, const prt::Mesh& drawn);
+  static void update_normals(GlossyObject& object, std::span<const glm::vec3> normals);
   /// Visible shares of Surroundings::lights, by vertex of the object's own; none: all open.
   static void set_shares(GlossyObject& object, std::span<const std::array<float, 4>> shares,
                          const EdgeMiddles& middles);

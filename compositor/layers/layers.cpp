@@ -203,6 +203,11 @@ void Layers::update_vertices(int object, const prt::Mesh& mesh) {
   const std::vector<glm::vec3>& positions = keeps ? o.positions : mesh.positions;
   glBindBuffer(GL_ARRAY_BUFFER, o.vertices.get());
   glBufferSubData(GL_ARRAY_BUFFER, 0, bytes_of(positions), positions.data());
+  if (o.glossy) {
+    std::vector<glm::vec3> normals = mesh.normals;
+    extend(normals, o.middles);
+    Glossy::update_normals(*o.glossy, normals);
+  }
   o.changed = true;
   o.contour_known = false;
 }

@@ -217,6 +217,11 @@ void subdivide(Character& c, float longest_edge, std::size_t triangle_limit) {
     widen(t.normals);
     t.first = 0;
   }
+  if (c.surface) {
+    auto surface = std::make_shared<SurfaceMaterials>(*c.surface);
+    surface->extend(ends);
+    c.surface = std::move(surface);
+  }
   for (const auto& [a, b] : ends) {
     c.influences.push_back(mean_influence(c.influences[a], c.influences[b]));
     for (auto* uv : {&c.texture_coordinates, &c.light_coordinates})

@@ -17,6 +17,7 @@
 
 #include "core/image.h"
 #include "core/result.h"
+#include "prt/geometry/material.h"
 #include "prt/geometry/mesh.h"
 
 #pragma GCC visibility push(default)
@@ -99,6 +100,9 @@ struct Character {
   /// then. What colours the picture further is in `tint`.
   std::shared_ptr<const Image<Rgb8>> texture;
   std::vector<Rgb> tint;  // by vertex; empty without texture
+  /// Materials where there is more to draw than colours, of glTF alone and without normal maps,
+  /// which would have to turn with the skin; null: `texture`, `tint` and `albedo` are all.
+  std::shared_ptr<const SurfaceMaterials> surface;
   std::vector<std::array<std::uint32_t, 3>> triangles;
   std::vector<Influence> influences;
   std::vector<Node> nodes;
@@ -108,6 +112,7 @@ struct Character {
   glm::mat4 frame{1};  // placed: from the nodes' common frame to the one wanted
 
   std::size_t degenerate_triangles = 0;  // removed
+  std::vector<std::string> left_out{};   // of its materials, a line each
   // Of a skin but without weights: they follow the skin's first joint
   std::size_t unbound_vertices = 0;
 };

@@ -4,10 +4,14 @@
 #include <cmath>
 #include <map>
 #include <optional>
+#include <set>
 #include <span>
 
 #include "codec/codec.h"
+#include "core/io/files.h"
 #include "prt/geometry/animation.h"
+#include "prt/geometry/gltf/gltf.h"
+#include "prt/geometry/gltf/internal/materials.h"
 #include "prt/geometry/internal/assimp_scene.h"
 
 namespace penumbra::prt {
@@ -94,6 +98,12 @@ class Importer {
   Importer(const aiScene& scene, std::filesystem::path path, Rgb fallback)
       : scene_(scene), path_(std::move(path)), file_(path_.string()), fallback_(fallback) {}
 
+  /// Of a glTF file, in its order, which Assimp keeps.
+  void take_materials(std::vector<Material> materials) {
+    materials_ = std::move(materials);
+    of_file_ = materials_.size();
+  }
+
   Result<Character> run() {
     PENUMBRA_TRY(add_node(*scene_.mRootNode, -1));
     PENUMBRA_TRY(add_meshes(*scene_.mRootNode));
@@ -104,7 +114,8 @@ class Importer {
     if (out_.bones.size() > kMaxBones)
       return fail(ErrorCode::kInvalid, file_,
                   fmt::format("has {} bones, and {} are the limit", out_.bones.size(), kMaxBones));
-    if (!one_texture_) out_.texture.reset();
+    keep_surface();
+    if (!one_texture_ || out_.surface) out_.texture.reset();
     if (!out_.texture) out_.tint.clear();
     for (unsigned i = 0; i < scene_.mNumAnimations; ++i)
       PENUMBRA_TRY(add_clip(*scene_.mAnimations[i], i));
@@ -139,6 +150,7 @@ class Importer {
 
   Result<void> add_mesh(const aiMesh& in, int node) {
     const std::size_t first = out_.positions.size();
+    add_surface(in);
     PENUMBRA_TRY(add_vertices(in));
     PENUMBRA_TRY(in.HasBones() ? add_skin(in, first) : add_rigid(in, node));
     add_triangles(in, first);
@@ -178,6 +190,47 @@ class Importer {
       out_.tint.push_back(clamped_albedo(tint, albedo));
     }
     return {};
+  }
+
+  // Before the mesh's vertices are added.
+  void add_surface(const aiMesh& in) {
+    if (materials_.empty()) return;
+    // Assimp's own material of what has none comes after the file's.
+    if (in.mMaterialIndex >= of_file_ && materials_.size() == of_file_)
+      materials_.emplace_back().base_colour = fallback_;
+    const auto place =
+        static_cast<std::uint16_t>(std::min<std::size_t>(in.mMaterialIndex, of_file_));
+    surface_.material.insert(surface_.material.end(), in.mNumVertices, place);
+    for (unsigned i = 0; i < in.mNumVertices; ++i)
+      for (unsigned set = 0; set < 2; ++set) {
+        glm::vec2 uv(0);
+        if (in.HasTextureCoords(set))
+          uv = {in.mTextureCoords[set][i].x, 1 - in.mTextureCoords[set][i].y};
+        surface_.coordinates[set].push_back(std::isfinite(uv.x + uv.y) ? uv : glm::vec2(0));
+        if (set == 1) continue;
+        const aiColor4D* const c = in.mColors[0];
+        surface_.tint.push_back(c ? clamped_albedo({c[i].r, c[i].g, c[i].b}, {1, 1, 1})
+                                  : Rgb{1, 1, 1});
+      }
+  }
+
+  // One base colour map, or none, is drawn without.
+  void keep_surface() {
+    if (surface_.material.empty()) return;
+    bool asked = !one_texture_;
+    for (const std::uint16_t place : std::set(surface_.material.begin(), surface_.material.end())) {
+      Material& m = materials_[place];
+      if (m.normal_map)
+        out_.left_out.push_back(
+            fmt::format("material \"{}\": its normal map is left out, as it moves", m.name));
+      m.normal_map = {};
+      Material beyond = m;
+      beyond.base_colour_map = {};
+      asked |= !gltf::is_plain(beyond);
+    }
+    if (!asked) return;
+    surface_.materials = std::move(materials_);
+    out_.surface = std::make_shared<const SurfaceMaterials>(std::move(surface_));
   }
 
   // None where the material has none, or it cannot be read: the material's factor is what remains.
@@ -368,6 +421,9 @@ class Importer {
   std::string file_;
   Rgb fallback_;
   Character out_;
+  std::vector<Material> materials_;
+  std::size_t of_file_ = 0;  // of them
+  SurfaceMaterials surface_;
   std::optional<std::string> texture_name_;
   bool one_texture_ = true;
   std::map<std::string, int> by_name_;
@@ -381,7 +437,13 @@ Result<Character> import_character(const std::filesystem::path& path, Rgb defaul
   try {
     Assimp::Importer importer;
     PENUMBRA_ASSIGN(scene, open_scene(importer, path));
-    return Importer(*scene, path, default_albedo).run();
+    Importer character(*scene, path, default_albedo);
+    if (gltf::is_gltf(path)) {
+      PENUMBRA_ASSIGN(bytes, read_bytes(path));
+      PENUMBRA_ASSIGN(materials, gltf::read_materials(std::move(bytes), path));
+      character.take_materials(std::move(materials));
+    }
+    return character.run();
   } catch (const std::exception& e) {
     return fail(ErrorCode::kUnreadable, path.string(), e.what());
   }

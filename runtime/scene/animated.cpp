@@ -89,6 +89,7 @@ Result<prt::Character> load_character(const std::string& asset, Rgb albedo) {
   if (!character) return character;
   if (character->degenerate_triangles > 0)
     log_warning("{}: {} degenerate triangles are left out", asset, character->degenerate_triangles);
+  for (const std::string& line : character->left_out) log_warning("{}: {}", asset, line);
   if (character->unbound_vertices > 0)
     log_warning("{}: {} vertices have no skin weights and follow the first joint", asset,
                 character->unbound_vertices);
@@ -151,11 +152,21 @@ Result<void> add_shadow_probes(PreparedObject& o) {
   return {};
 }
 
+// The texels of a light map are points beyond the vertices, which have no materials.
+void take_materials(const Animation& animation, PreparedObject& out) {
+  if (!animation.character.surface) return;
+  if (animation.layout.texels.empty())
+    out.baked.surface = animation.character.surface;
+  else
+    log_warning("{}: with a light map it is drawn without gloss", out.name);
+}
+
 // Sets the object to the clip's begin.
 Result<void> start(std::shared_ptr<Animation> animation, PreparedObject& out) {
   animation->layout = prt::lay_out(animation->character, animation->sequence.map_width,
                                    animation->sequence.map_height);
   out.baked.receiver = animation->sequence.receiver;
+  take_materials(*animation, out);
   out.animation = std::move(animation);
   out.frame = kNone;
   out.move_to(0, {});
@@ -274,6 +285,7 @@ Result<PreparedObject> prepare_live(const SceneObject& o, const std::vector<prt:
   log_info(
       "{}: the transfer of {} vertices is traced while the clip plays, for {:g} ms in each frame",
       o.name, animation->layout.points(), o.transfer_ms);
+  take_materials(*animation, out);
   out.animation = std::move(animation);
   out.frame = kNone;
   PENUMBRA_TRY(out.begin_live());
