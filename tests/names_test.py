@@ -48,6 +48,7 @@ RECORD = "tools/penumbra/command_record.cpp: to_json("
 BAKE = "tools/penumbra/command_bake.cpp: print_json("
 MERGE = "tools/penumbra/command_hdr.cpp: print_json("
 ENVIRONMENT = "tools/penumbra/command_environment.cpp"
+FLAGS = "tools/farm/slurm_flags.cpp"
 CLIP, SENSOR = "tools/penumbra/command_bake_clip.cpp", "tools/chart/command_chart_sensor.cpp"
 CHART = "tools/chart/chart_plot.cpp: chart_row("
 TABLES = {
@@ -129,7 +130,7 @@ MENTIONED = {
             "rig.cpp: json to_json(", "colour.cpp: print_json(",
             "import.cpp: json to_json(")),
         "record": f"{RECORD} > push_back(",
-        "bake": CLIP + ': print_json({{"shard"',
+        "bake": f'{FLAGS}: print_json({{{{"shard", + {FLAGS}: print_json({{{{"shards",',
         "hdr merge and hdr environment": f"{ENVIRONMENT}: views.push_back(",
         "chart": f"{SENSOR}: json to_json(const SensorSummary& + {SENSOR}: print_json( + "
                  'tools/chart/command_chart.cpp: print_json({{"needed_factor" + '

@@ -104,6 +104,13 @@ Result<void> Journal::add(const FrameRecord& record) {
   return {};
 }
 
+Result<std::vector<std::uint32_t>> frames_of_journal(const std::filesystem::path& path,
+                                                     const JournalKey& key) {
+  std::vector<std::uint32_t> out;
+  PENUMBRA_TRY(scan(path, key, [&](const FrameRecord& r) { out.push_back(r.frame); }));
+  return out;
+}
+
 Result<std::vector<FrameRecord>> read_journal(const std::filesystem::path& path,
                                               const JournalKey& key) {
   std::vector<FrameRecord> out;

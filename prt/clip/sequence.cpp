@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <cmath>
 #include <map>
+#include <optional>
 #include <set>
 
 #include "lighting/sh/basis.h"
@@ -45,18 +46,37 @@ Result<void> bake_positions(const FrameBaker& baker, std::span<const int> wanted
   return {};
 }
 
+Result<void> check(Shard shard) {
+  if (shard.count >= 1 && shard.index >= 0 && shard.index < shard.count) return {};
+  return fail(ErrorCode::kInvalid, "shard",
+              fmt::format("{}/{} is not i/n with i in 1..n", shard.index + 1, shard.count));
+}
+
+// Of the wanted positions, those that a journal does not hold.
+Result<std::size_t> count_missing(const FrameBaker& baker, std::span<const int> wanted,
+                                  const std::filesystem::path& journal) {
+  PENUMBRA_ASSIGN(held, frames_of_journal(journal, baker.key()));
+  const std::set<std::uint32_t> found(held.begin(), held.end());
+  return static_cast<std::size_t>(std::ranges::count_if(
+      wanted, [&](int position) { return !found.contains(static_cast<std::uint32_t>(position)); }));
+}
+
+// Of the positions that the rate asks for.
+std::vector<int> share_of(const FrameBaker& baker, Shard shard) {
+  std::vector<int> out;
+  for (int f = shard.index; f < baker.frames(); f += shard.count)
+    out.push_back(f * FrameBaker::kMaxParts);
+  return out;
+}
+
 }  // namespace
 
 Result<void> bake_frames(const Character& character, int clip, const SequenceOptions& options,
                          Shard shard, const std::filesystem::path& journal_path) {
-  if (shard.count < 1 || shard.index < 0 || shard.index >= shard.count)
-    return fail(ErrorCode::kInvalid, "shard",
-                fmt::format("{}/{} is not i/n with i in 1..n", shard.index + 1, shard.count));
+  PENUMBRA_TRY(check(shard));
   PENUMBRA_ASSIGN(baker, FrameBaker::create(character, clip, options));
   PENUMBRA_ASSIGN(journal, Journal::open(journal_path, baker.key()));
-  std::vector<int> wanted;
-  for (int f = shard.index; f < baker.frames(); f += shard.count)
-    wanted.push_back(f * FrameBaker::kMaxParts);
+  const std::vector<int> wanted = share_of(baker, shard);
   PENUMBRA_TRY(bake_positions(baker, wanted, journal, options.progress, [](auto&&) {}));
   if (shard.count > 1) return {};
   const std::filesystem::path journals[] = {journal_path};
@@ -68,28 +88,6 @@ Result<std::uint64_t> bake_key(const Character& character, int clip,
                                const SequenceOptions& options) {
   PENUMBRA_ASSIGN(baker, FrameBaker::create(character, clip, options));
   return baker.key().bake;
-}
-
-Result<ClipWork> estimate_work(const Character& character, int clip,
-                               const SequenceOptions& options) {
-  SequenceOptions few = options;
-  few.rays = few.ground_rays = 64;
-  few.progress = nullptr;
-  PENUMBRA_ASSIGN(baker, FrameBaker::create(character, clip, few));
-  PENUMBRA_ASSIGN(tried, baker.bake(0, {}));
-  ClipWork out;
-  out.frames = baker.frames();
-  out.points = baker.layout().points();
-  const std::uint64_t texels = baker.shape(FrameBaker::kGround).points;
-  const auto rays_of = [&](const SequenceOptions& o) {
-    return out.points * static_cast<std::uint64_t>(o.rays) +
-           texels * static_cast<std::uint64_t>(o.ground_rays);
-  };
-  const auto frames = static_cast<std::uint64_t>(out.frames);
-  out.rays = frames * rays_of(options);
-  out.journal_bytes = frames * tried.values.size() * sizeof(tried.values[0]);
-  out.seconds = tried.seconds * static_cast<double>(out.rays) / static_cast<double>(rays_of(few));
-  return out;
 }
 
 namespace {
@@ -230,7 +228,68 @@ Result<Records> gather_all(const FrameBaker& baker, double bound,
                           chosen.missing.size()));
 }
 
+// The shard's part of the first round that is not known as a whole.
+Result<std::vector<int>> share_of_round(const FrameBaker& baker, double bound, Shard shard,
+                                        std::span<const std::filesystem::path> journals) {
+  PENUMBRA_ASSIGN(known, gather(baker, journals));
+  const Chosen chosen = choose(baker, std::move(known), bound);
+  std::vector<int> out;
+  for (auto i = static_cast<std::size_t>(shard.index); i < chosen.missing.size();
+       i += static_cast<std::size_t>(shard.count))
+    out.push_back(chosen.missing[i]);
+  return out;
+}
+
 }  // namespace
+
+Result<void> bake_round(const Character& character, int clip, const SequenceOptions& options,
+                        Shard shard, std::span<const std::filesystem::path> journals,
+                        const std::filesystem::path& journal_path) {
+  PENUMBRA_TRY(check(shard));
+  PENUMBRA_ASSIGN(baker, FrameBaker::create(character, clip, options));
+  PENUMBRA_ASSIGN(wanted, share_of_round(baker, options.interpolation_error, shard, journals));
+  PENUMBRA_ASSIGN(journal, Journal::open(journal_path, baker.key()));
+  return bake_positions(baker, wanted, journal, options.progress, [](auto&&) {});
+}
+
+Result<std::size_t> missing_frames(const Character& character, int clip,
+                                   const SequenceOptions& options, Shard shard,
+                                   std::span<const std::filesystem::path> journals,
+                                   const std::filesystem::path& journal) {
+  PENUMBRA_TRY(check(shard));
+  PENUMBRA_ASSIGN(baker, FrameBaker::create(character, clip, options));
+  std::vector<int> wanted = share_of(baker, shard);
+  if (!journals.empty()) {
+    PENUMBRA_ASSIGN(round, share_of_round(baker, options.interpolation_error, shard, journals));
+    wanted = std::move(round);
+  }
+  return count_missing(baker, wanted, journal);
+}
+
+Result<void> check_shards(const Character& character, int clip, const SequenceOptions& options,
+                          std::span<const std::filesystem::path> journals) {
+  PENUMBRA_ASSIGN(baker, FrameBaker::create(character, clip, options));
+  std::optional<Error> first;
+  std::string others;
+  for (std::size_t i = 0; i < journals.size(); ++i) {
+    const std::vector<int> wanted =
+        share_of(baker, {static_cast<int>(i), static_cast<int>(journals.size())});
+    const auto missing = count_missing(baker, wanted, journals[i]);
+    if (missing && *missing == 0) continue;
+    if (first) {
+      others += fmt::format("{}{}", others.empty() ? "" : ", ", i + 1);
+      continue;
+    }
+    first = !missing ? missing.error()
+                     : Error{ErrorCode::kInvalid, journals[i].string(),
+                             fmt::format("lacks {} of the {} frames of its shard: bake it again",
+                                         *missing, wanted.size())};
+  }
+  if (!first) return {};
+  if (!others.empty())
+    first->detail += fmt::format(" (not right either, of {} shards: {})", journals.size(), others);
+  return std::unexpected(std::move(*first));
+}
 
 Result<bool> bake_between(const Character& character, int clip, const SequenceOptions& options,
                           std::span<const std::filesystem::path> journals,

@@ -5,6 +5,7 @@
 #pragma once
 
 #include <array>
+#include <bit>
 #include <cstdint>
 #include <filesystem>
 #include <functional>
@@ -195,6 +196,29 @@ Result<void> bake_frames(const Character& character, int clip, const SequenceOpt
 Result<bool> bake_between(const Character& character, int clip, const SequenceOptions& options,
                           std::span<const std::filesystem::path> journals,
                           const std::filesystem::path& journal);
+/// Rounds of bake_between that are worth sharing out: as many as it takes to halve an interval down
+/// to a part. An interval that becomes too coarse only when those beside it are finer comes later;
+/// such stragglers bake_between bakes.
+inline constexpr int kRounds = std::bit_width(KeyFrames::kMaxParts) - 1;
+/// The shard's part of the first round that `journals`, which hold every frame of the rounds
+/// before, do not hold; into `journal`, which need not be among them. So shards of one round are
+/// baked apart, too.
+/// errors: as bake_between
+Result<void> bake_round(const Character& character, int clip, const SequenceOptions& options,
+                        Shard shard, std::span<const std::filesystem::path> journals,
+                        const std::filesystem::path& journal);
+/// How many frames `journal` lacks of those that bake_frames bakes for the shard, or, where
+/// `journals` are given, of those that bake_round does.
+/// errors: as bake_frames, as compress_frames
+Result<std::size_t> missing_frames(const Character& character, int clip,
+                                   const SequenceOptions& options, Shard shard,
+                                   std::span<const std::filesystem::path> journals,
+                                   const std::filesystem::path& journal);
+/// Whether each shard's journal holds its frames: journals[i] is that of shard i of so many.
+/// errors: kNotFound, kUnreadable, kInvalid (of another bake; frames missing), each naming the
+///         first faulty journal, with the numbers of the others
+Result<void> check_shards(const Character& character, int clip, const SequenceOptions& options,
+                          std::span<const std::filesystem::path> journals);
 /// A fingerprint of everything that a bake of the clip depends on.
 /// errors: as bake_frames
 Result<std::uint64_t> bake_key(const Character& character, int clip,
@@ -205,9 +229,10 @@ struct ClipWork {
   std::size_t points = 0;
   std::uint64_t rays = 0;
   std::uint64_t journal_bytes = 0;
-  double seconds = 0;  // about, on this machine
+  double seconds = 0;       // about, on this machine as busy as it is
+  double core_seconds = 0;  // about, of one core like these
 };
-/// By baking one frame with few rays.
+/// By baking one frame with few rays, and with some more.
 /// errors: as bake_frames
 Result<ClipWork> estimate_work(const Character& character, int clip,
                                const SequenceOptions& options);

@@ -189,8 +189,7 @@ TEST_F(GltfMaterial, AlbedoIsFactorTimesVertexColourTimesPictureOfMetalToo) {
   maker.node({{"mesh", maker.mesh(json::array({primitive}))}});
   const Import import = read(maker);
   const float texel = linear_of(188);
-  for (const Rgb& a : import.mesh.albedo)
-    expect_near(a, {.5f * 128 / 255 * texel, .5f * texel, 0});
+  for (const Rgb& a : import.mesh.albedo) expect_near(a, {.5f * 128 / 255 * texel, .5f * texel, 0});
   // What is drawn keeps its parts.
   EXPECT_EQ(only(import).base_colour, (Rgb{.5f, .5f, 1}));
   ASSERT_EQ(import.surface->tint.size(), import.mesh.positions.size());

@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "core/result.h"
+#include "tools/farm/slurm_flags.h"
 
 namespace penumbra::tools {
 
@@ -28,6 +29,9 @@ struct ChartOptions {
   std::string light_map = "128x128";
   int frames = 100, samples = 512;
   bool json = false;
+  std::string shard;  // "i/n", "auto", "auto/n"
+  int merge = 0;      // so many shards
+  SlurmFlags slurm;
 };
 /// Bytes against rendered error of ways to code transfer over a clip.
 Result<void> chart_clip(const ChartOptions& options);

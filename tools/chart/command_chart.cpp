@@ -11,12 +11,17 @@
 #include "tools/chart/chart_environments.h"
 #include "tools/chart/chart_options.h"
 #include "tools/chart/chart_plot.h"
+#include "tools/chart/chart_shards.h"
+#include "tools/chart/chart_slurm.h"
 #include "tools/chart/commands.h"
 #include "tools/chart/governor/governor_bench.h"
 #include "tools/chart/light_chart.h"
 #include "tools/common/command.h"
 #include "tools/common/print.h"
 #include "tools/common/progress.h"
+#include "tools/farm/core_limit.h"
+#include "tools/farm/shard_choice.h"
+#include "tools/farm/shard_file.h"
 #include "tools/runs/output.h"
 
 namespace penumbra::tools {
@@ -90,19 +95,30 @@ Result<void> chart(const ChartOptions& o) {
   for (int b : o.bands)
     if (b < 1 || b > kMaxBands)
       return fail(ErrorCode::kInvalid, "--bands", fmt::format("{} is not within 1..9", b));
-  PENUMBRA_ASSIGN(output, OutputFolder::create(o.output));
   PENUMBRA_ASSIGN(environments, read_environments(o.environments, o.with_procedural));
   std::vector<std::string> assets = o.assets;
   if (assets.empty()) assets = {"builtin:knot", "builtin:twist"};
   for (const std::string& asset : assets)  // all of them before the long work
     PENUMBRA_TRY(runtime::load_asset(asset, {.7f, .7f, .7f}, 0));
-  PENUMBRA_ASSIGN(points, chart_lights(o, assets, environments));
+  if (o.slurm.slurm) return chart_on_slurm(o, assets.size() * environments.size());
+  const CoreLimit cores;
+  if (!o.shard.empty()) {
+    PENUMBRA_ASSIGN(shard, shard_of_environment(o.shard));
+    PENUMBRA_TRY(make_folder(o.output));
+    PENUMBRA_ASSIGN(file, chart_shard(o, assets, environments, shard));
+    print_shard(file, o.json);
+    return {};
+  }
+  PENUMBRA_ASSIGN(output, OutputFolder::create(o.output));
+  PENUMBRA_ASSIGN(points, o.merge > 0 ? read_chart_shards(o, assets, environments, o.merge)
+                                      : chart_lights(o, assets, environments));
   PENUMBRA_TRY(output.begin());
   PENUMBRA_TRY(write_bytes(output.file("accuracy.csv"), chart_csv(points)));
   if (!o.truncated)
     if (const auto plots = write_chart_plots(output.work(), points); !plots)
       log_warning("the plots are not written: {}: {}", plots.error().where, plots.error().detail);
   PENUMBRA_TRY(output.keep());
+  if (o.merge > 0) remove_shards(shard_files(chart_shards_stem(o), o.merge));
   if (o.json) {
     print_json({{"rows", chart_json(points)}});
   } else {
@@ -196,6 +212,29 @@ void add_chart(CLI::App& parent, Action& action) {
       ->capture_default_str()
       ->needs(clip)
       ->group(kClip);
+  const char* const kShards = "In shards: of an asset's environments, or of a clip's frames";
+  CLI::Option* const shard =
+      c->add_option("--shard", chart_options.shard,
+                    "i/n: chart only every n-th case from the i-th on, an asset in an environment, "
+                    "or bake every n-th frame, into a file of the folder that --merge reads; auto: "
+                    "the task of a Slurm array; auto/n: that, or the pod of an indexed Kubernetes "
+                    "job")
+          ->excludes(governor)
+          ->excludes(sensor)
+          ->group(kShards);
+  CLI::Option* const merge =
+      c->add_option("--merge", chart_options.merge, "Number of shards to join into the chart")
+          ->check(within(1, kMaxShards))
+          ->excludes(shard)
+          ->excludes(governor)
+          ->excludes(sensor)
+          ->group(kShards);
+  add_slurm_flags(*c, chart_options.slurm,
+                  "one for each case, or each ten minutes of a clip's bake")
+      ->excludes(shard)
+      ->excludes(merge)
+      ->excludes(governor)
+      ->excludes(sensor);
   add_json(c, chart_options.json);
   c->callback([&] {
     action = [] {

@@ -17,13 +17,15 @@
 #include "prt/transfer/transfer.h"
 #include "runtime/pipeline/light_file.h"
 #include "runtime/pipeline/report.h"
-#include "runtime/scene/animated.h"
 #include "tools/chart/chart_options.h"
+#include "tools/chart/chart_slurm.h"
+#include "tools/chart/clip_setup.h"
 #include "tools/chart/peers/peer_codecs.h"
 #include "tools/chart/peers/rgbe_video.h"
-#include "tools/common/number_pairs.h"
 #include "tools/common/print.h"
-#include "tools/common/progress.h"
+#include "tools/farm/core_limit.h"
+#include "tools/farm/shard_choice.h"
+#include "tools/farm/shard_file.h"
 #include "tools/plots/gnuplot.h"
 #include "tools/runs/output.h"
 
@@ -40,7 +42,8 @@ struct RatePoint {
 // The clip's transfer as baked, as maps, and the lights that tell what an error looks like.
 class ClipBench {
  public:
-  static Result<ClipBench> make(const ChartOptions& o, const std::filesystem::path& journal);
+  static Result<ClipBench> make(const ChartOptions& o, const ChartedClip& charted,
+                                std::span<const std::filesystem::path> journals);
 
   Result<void> run(const std::filesystem::path& scratch, std::vector<RatePoint>& out) const;
   std::size_t raw_bytes() const { return 4 * maps_.size() * maps_[0].area(); }
@@ -75,29 +78,15 @@ Result<std::vector<RadianceSh>> read_lights(const ChartOptions& o) {
   return out;
 }
 
-Result<ClipBench> ClipBench::make(const ChartOptions& o, const std::filesystem::path& journal) {
-  const std::string asset = o.assets.empty() ? "builtin:walker" : o.assets[0];
-  PENUMBRA_ASSIGN(size, read_map_size("--light-map", o.light_map));
+Result<ClipBench> ClipBench::make(const ChartOptions& o, const ChartedClip& charted,
+                                  std::span<const std::filesystem::path> journals) {
   PENUMBRA_ASSIGN(lights, read_lights(o));
-  PENUMBRA_ASSIGN(
-      standing, runtime::standing_character(asset, {.5f, .5f, .5f}, o.animation, size[0], size[1]));
-  prt::Character& character = standing.character;
-  // Grey, so that every coder has one channel to code.
-  std::ranges::fill(character.albedo, Rgb{.5f, .5f, .5f});
-  const prt::Clip& clip = character.clips[static_cast<std::size_t>(standing.clip)];
-  prt::SequenceOptions options;
-  options.bands = o.bands.empty() ? 3 : o.bands[0];
-  options.map_width = size[0];
-  options.map_height = size[1];
-  options.rays = o.samples;
-  options.frames_per_second = clip.seconds > 0 ? o.frames / clip.seconds : 1;
-  options.interpolation_error = 0;  // every coder has the same frames, evenly apart
-  options.progress = progress_bar("bake " + std::filesystem::path(asset).filename().string());
-  PENUMBRA_TRY(prt::bake_frames(character, standing.clip, options, {}, journal));
-  const std::filesystem::path journals[] = {journal};
-  PENUMBRA_ASSIGN(frames, prt::baked_surface(character, standing.clip, options, journals));
+  const prt::Character& character = charted.standing.character;
+  const prt::SequenceOptions& options = charted.options;
+  const prt::Clip& clip = character.clips[static_cast<std::size_t>(charted.standing.clip)];
+  PENUMBRA_ASSIGN(frames, prt::baked_surface(character, charted.standing.clip, options, journals));
   ClipBench out;
-  out.layout_ = prt::lay_out(character, size[0], size[1]);
+  out.layout_ = prt::lay_out(character, options.map_width, options.map_height);
   out.frames_ = std::move(frames);
   for (const RadianceSh& light : lights) {
     auto& by_frame = out.lights_.emplace_back();
@@ -272,12 +261,20 @@ std::optional<double> bytes_at(const std::vector<RatePoint>& points, const std::
 Result<void> chart_clip(const ChartOptions& o) {
   if (o.frames < 1 || o.frames > 1000)
     return fail(ErrorCode::kInvalid, "--frames", "is not within 1..1000");
+  PENUMBRA_ASSIGN(clip, charted_clip(o));
+  if (o.slurm.slurm) return chart_clip_on_slurm(o, clip);
+  const CoreLimit cores;
+  if (!o.shard.empty()) {
+    PENUMBRA_ASSIGN(shard, shard_of_environment(o.shard));
+    PENUMBRA_TRY(make_folder(o.output));
+    PENUMBRA_ASSIGN(file, bake_charted_shard(o, clip, shard));
+    print_shard(file, o.json);
+    return {};
+  }
   PENUMBRA_ASSIGN(output, OutputFolder::create(o.output));
   PENUMBRA_TRY(output.begin());
-  const std::filesystem::path journal = output.file("bake.journal");
-  PENUMBRA_ASSIGN(bench, ClipBench::make(o, journal));
-  std::error_code ignored;
-  std::filesystem::remove(journal, ignored);
+  PENUMBRA_ASSIGN(journals, charted_journals(o, clip, output.file("bake.journal")));
+  PENUMBRA_ASSIGN(bench, ClipBench::make(o, clip, journals));
   std::vector<RatePoint> points;
   PENUMBRA_TRY(bench.run(output.work(), points));
   std::string csv = "coder,setting,bytes,rendered_rel_rmse\n";
@@ -290,7 +287,9 @@ Result<void> chart_clip(const ChartOptions& o) {
   if (const auto plot = run_gnuplot(plot_of(points, title), output.file("rate-distortion.svg"));
       !plot)
     log_warning("the plot is not written: {}: {}", plot.error().where, plot.error().detail);
+  if (o.merge == 0) remove_shards(journals);  // of this run's own folder
   PENUMBRA_TRY(output.keep());
+  if (o.merge > 0) remove_shards(journals);  // once what they were for is there
   if (o.json) {
     nlohmann::json rows = nlohmann::json::array();
     for (const RatePoint& p : points)

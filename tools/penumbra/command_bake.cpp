@@ -6,6 +6,7 @@
 #include "core/io/files.h"
 #include "prt/bake/bake.h"
 #include "prt/bake/baked_file.h"
+#include "prt/clip/sequence.h"
 #include "prt/geometry/ground_grid.h"
 #include "prt/geometry/mesh.h"
 #include "prt/geometry/receiver.h"
@@ -14,6 +15,7 @@
 #include "tools/common/command.h"
 #include "tools/common/print.h"
 #include "tools/common/progress.h"
+#include "tools/farm/slurm_flags.h"
 #include "tools/penumbra/bake_options.h"
 #include "tools/penumbra/commands.h"
 
@@ -25,9 +27,9 @@ Rgb albedo_of(const BakeCommandOptions& o) {
 }
 
 Result<void> bake(const BakeCommandOptions& o) {
-  if (!o.shard.empty() || o.merge != 0 || !o.light_map.empty())
+  if (!o.shard.empty() || o.merge != 0 || !o.light_map.empty() || o.slurm.slurm)
     return fail(ErrorCode::kInvalid, "--animation",
-                "is missing, and --shard, --merge and --light-map need it");
+                "is missing, and --shard, --merge, --slurm and --light-map need it");
   if (o.samples < 64 || o.samples % 64 != 0)
     return fail(ErrorCode::kInvalid, "--samples",
                 fmt::format("{} is not a positive multiple of 64", o.samples));
@@ -149,17 +151,34 @@ void add_bake(CLI::App& parent, Action& action) {
       ->capture_default_str()
       ->needs(clip)
       ->group(kClip);
-  c->add_option(
-       "--shard", bake_options.shard,
-       "i/n: bake only every n-th key frame from the i-th on, into a file beside the output that "
-       "--merge reads")
-      ->needs(clip)
+  CLI::Option* const shard =
+      c->add_option(
+           "--shard", bake_options.shard,
+           "i/n: bake only every n-th key frame from the i-th on, into a file beside the output "
+           "that --merge reads; auto: the task of a Slurm array; auto/n: that, or the pod of an "
+           "indexed Kubernetes job")
+          ->needs(clip)
+          ->group(kClip);
+  c->add_option("--round", bake_options.round,
+                "Bake the shard's part of the key frames between that --interpolation-error asks "
+                "for, round 1 when all shards are baked, 2 and 3 when the round before is; what no "
+                "round bakes --merge does")
+      ->check(within(1, prt::kRounds))
+      ->needs(shard)
       ->group(kClip);
   c->add_option("--merge", bake_options.merge,
                 "Number of shards to join into the output, after the key frames that "
                 "--interpolation-error asks for are baked")
       ->needs(clip)
       ->group(kClip);
+  CLI::Option* const slurm =
+      add_slurm_flags(*c, bake_options.slurm, "so many that each takes about ten minutes")
+          ->needs(clip);
+  c->add_flag("--copy", bake_options.copy,
+              "Copy the asset to each machine's own disk by sbcast, instead of reading it over the "
+              "shared folder")
+      ->needs(slurm)
+      ->group(slurm->get_group());
   c->callback([&] {
     action = [] {
       return bake_options.animation.empty() ? bake(bake_options) : bake_clip(bake_options);

@@ -1,8 +1,8 @@
 #include <fmt/format.h>
 #include <oneapi/tbb/global_control.h>
 
-#include <charconv>
 #include <filesystem>
+#include <optional>
 
 #include "core/io/files.h"
 #include "core/io/log.h"
@@ -16,6 +16,9 @@
 #include "tools/common/number_pairs.h"
 #include "tools/common/print.h"
 #include "tools/common/progress.h"
+#include "tools/farm/core_limit.h"
+#include "tools/farm/shard_choice.h"
+#include "tools/farm/shard_file.h"
 #include "tools/penumbra/bake_options.h"
 
 namespace penumbra::tools {
@@ -23,10 +26,6 @@ namespace penumbra::tools {
 namespace {
 
 namespace fs = std::filesystem;
-
-fs::path shard_file(const std::string& output, int index, int count) {
-  return fmt::format("{}.shard-{}-of-{}", output, index + 1, count);
-}
 
 Result<prt::SequenceOptions> options_of(const BakeCommandOptions& o) {
   prt::SequenceOptions out;
@@ -140,55 +139,112 @@ void report(const BakeCommandOptions& o, const prt::BakedSequence& s, double rel
       raw * 1e-6, relight_ms);
 }
 
+// Journals of the rounds before one, as far as they are there.
+std::vector<fs::path> journals_before(const BakeCommandOptions& o, int count, int round) {
+  std::vector<fs::path> out = shard_files(o.output, count);
+  for (int r = 1; r < round; ++r)
+    for (const fs::path& file : shard_files(o.output, count, r)) {
+      std::error_code ignored;
+      if (fs::exists(file, ignored)) out.push_back(file);
+    }
+  return out;
+}
+
+// A round reads all of the one before: what is not there would be baked twice.
+Result<void> check_round_before(const BakeCommandOptions& o, int count) {
+  for (const fs::path& file : shard_files(o.output, count, o.round - 1)) {
+    std::error_code ignored;
+    if (!fs::exists(file, ignored))
+      return fail(ErrorCode::kNotFound, file.string(),
+                  fmt::format("is missing: bake {} first",
+                              o.round == 1 ? std::string("this shard")
+                                           : fmt::format("this shard of round {}", o.round - 1)));
+  }
+  return {};
+}
+
+Result<void> bake_one_shard(const BakeCommandOptions& o, const runtime::StandingCharacter& of,
+                            const prt::SequenceOptions& options, ShardChoice choice) {
+  const prt::Shard shard{choice.index, choice.count};
+  std::vector<fs::path> before;
+  if (o.round > 0) {
+    PENUMBRA_TRY(check_round_before(o, choice.count));
+    before = journals_before(o, choice.count, o.round);
+  }
+  const fs::path file = shard_file(o.output, choice.index, choice.count, o.round);
+  PENUMBRA_TRY(make_shard(
+      file,
+      [&](const fs::path& path) -> Result<bool> {
+        PENUMBRA_ASSIGN(missing,
+                        prt::missing_frames(of.character, of.clip, options, shard, before, path));
+        return missing == 0;
+      },
+      [&](const fs::path& path) {
+        return before.empty()
+                   ? prt::bake_frames(of.character, of.clip, options, shard, path)
+                   : prt::bake_round(of.character, of.clip, options, shard, before, path);
+      }));
+  print_shard(file.string(), o.json);
+  return {};
+}
+
+// The journals that hold all frames; what of them shards have not baked is baked here.
+Result<std::vector<fs::path>> all_journals(const BakeCommandOptions& o,
+                                           const runtime::StandingCharacter& of,
+                                           const prt::SequenceOptions& options) {
+  if (o.merge == 0) {
+    // Kept until all is done: a bake that is stopped goes on where it was.
+    const fs::path journal = o.output + ".journal";
+    runtime::tell_work(fs::path(o.asset).filename().string(), of.character, of.clip, options);
+    PENUMBRA_TRY(prt::bake_frames(of.character, of.clip, options, {}, journal));
+    return std::vector{journal};
+  }
+  PENUMBRA_TRY(prt::check_shards(of.character, of.clip, options, shard_files(o.output, o.merge)));
+  std::vector<fs::path> journals = journals_before(o, o.merge, prt::kRounds + 1);
+  const fs::path between = o.output + ".between";
+  PENUMBRA_ASSIGN(more, prt::bake_between(of.character, of.clip, options, journals, between));
+  if (more) journals.push_back(between);
+  return journals;
+}
+
+Result<void> check_sharing(const BakeCommandOptions& o) {
+  if (o.merge < 0 || o.merge > kMaxShards)
+    return fail(ErrorCode::kInvalid, "--merge",
+                fmt::format("{} is not within 1..{}", o.merge, kMaxShards));
+  if (o.merge > 0 && !o.shard.empty())
+    return fail(ErrorCode::kInvalid, "--merge", "excludes --shard: bake the shards first");
+  if (o.slurm.slurm && (o.merge > 0 || !o.shard.empty()))
+    return fail(ErrorCode::kInvalid, "--slurm", "excludes --shard and --merge: it runs both");
+  if (o.round < 0 || o.round > prt::kRounds)
+    return fail(ErrorCode::kInvalid, "--round",
+                fmt::format("{} is not within 1..{}", o.round, prt::kRounds));
+  return {};
+}
+
 }  // namespace
 
 Result<void> bake_clip(const BakeCommandOptions& o) {
   if (fs::path(o.output).extension() != ".shlm")
     return fail(ErrorCode::kInvalid, o.output, "does not end in .shlm, as a baked clip does");
   PENUMBRA_ASSIGN(options, options_of(o));
-  int index = 1, count = 1;
-  if (!o.shard.empty() &&
-      (!read_pair(o.shard, '/', index, count) || index < 1 || index > count || count > 4096))
-    return fail(ErrorCode::kInvalid, "--shard",
-                fmt::format("\"{}\" is not i/n with i in 1..n", o.shard));
-  if (o.merge < 0 || o.merge > 4096)
-    return fail(ErrorCode::kInvalid, "--merge", fmt::format("{} is not within 1..4096", o.merge));
-  if (o.merge > 0 && !o.shard.empty())
-    return fail(ErrorCode::kInvalid, "--merge", "excludes --shard: bake the shards first");
+  PENUMBRA_TRY(check_sharing(o));
+  ShardChoice choice;
+  if (!o.shard.empty()) {
+    PENUMBRA_ASSIGN(told, shard_of_environment(o.shard));
+    choice = told;
+  }
   PENUMBRA_TRY(check_writable(o.output));
   PENUMBRA_ASSIGN(character, runtime::standing_character(o.asset, albedo_of(o), o.animation,
                                                          options.map_width, options.map_height));
+  if (o.slurm.slurm) return bake_on_slurm(o, character, options);
+  const CoreLimit cores;
   options.progress = progress_bar("bake " + fs::path(o.asset).filename().string());
-  std::vector<fs::path> journals;
-  for (int i = 0; i < o.merge; ++i) journals.push_back(shard_file(o.output, i, o.merge));
-  if (o.merge > 0) {
-    const fs::path between = o.output + ".between";
-    PENUMBRA_ASSIGN(
-        more, prt::bake_between(character.character, character.clip, options, journals, between));
-    if (more) journals.push_back(between);
-  }
-  if (o.merge == 0) {
-    // Kept until all is done: a bake that is stopped goes on where it was.
-    journals = {o.shard.empty() ? fs::path(o.output + ".journal")
-                                : shard_file(o.output, index - 1, count)};
-    runtime::tell_work(fs::path(o.asset).filename().string(), character.character, character.clip,
-                       options);
-    PENUMBRA_TRY(prt::bake_frames(character.character, character.clip, options, {index - 1, count},
-                                  journals[0]));
-    if (!o.shard.empty()) {
-      if (o.json) {
-        print_json({{"shard", journals[0].string()}});
-      } else {
-        fmt::print("{}\n", journals[0].string());
-      }
-      return {};
-    }
-  }
+  if (!o.shard.empty()) return bake_one_shard(o, character, options, choice);
+  PENUMBRA_ASSIGN(journals, all_journals(o, character, options));
   PENUMBRA_ASSIGN(sequence,
                   prt::compress_frames(character.character, character.clip, options, journals));
   PENUMBRA_TRY(prt::write_sequence(o.output, character.character, character.clip, sequence));
-  std::error_code ignored;
-  for (const fs::path& journal : journals) fs::remove(journal, ignored);
+  remove_shards(journals);
   warn(o, sequence);
   report(o, sequence, relight_ms(sequence, character));
   return {};

@@ -47,6 +47,10 @@ class Journal {
   std::vector<std::uint32_t> frames_;
 };
 
+/// Numbers of the whole frames of a journal, which stays as it is.
+/// errors: as read_journal
+Result<std::vector<std::uint32_t>> frames_of_journal(const std::filesystem::path& path,
+                                                     const JournalKey& key);
 /// All whole frames of a journal.
 /// errors: kNotFound, kUnreadable, kInvalid (of another bake)
 Result<std::vector<FrameRecord>> read_journal(const std::filesystem::path& path,
