@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <glm/common.hpp>
 #include <glm/geometric.hpp>
 #include <glm/gtc/quaternion.hpp>
 #include <glm/gtc/type_ptr.hpp>
@@ -26,7 +27,9 @@ constexpr int kFirstUnit = 3, kMaps = 5, kCubeUnit = kFirstUnit + kMaps,
 
 struct VertexAttributes {
   glm::vec3 normal;
-  glm::vec4 tangent, coordinates, tint_and_openness;
+  glm::vec4 tangent, coordinates;
+  glm::vec3 tint;
+  glm::vec4 openness;
 };
 
 void glossy_attribute(GLuint location, int components, std::size_t offset) {
@@ -44,7 +47,7 @@ std::vector<VertexAttributes> attributes_of(const GlossyObject& o,
                     b = i < s.coordinates[1].size() ? s.coordinates[1][i] : a;
     const Rgb tint = i < s.tint.size() ? s.tint[i] : Rgb{1, 1, 1};
     out[i] = {normals[i], i < s.tangents.size() ? s.tangents[i] : glm::vec4(1, 0, 0, 1),
-              glm::vec4(a, b), glm::vec4(tint.r, tint.g, tint.b, o.openness[i])};
+              glm::vec4(a, b), glm::vec3(tint.r, tint.g, tint.b), o.openness[i]};
   }
   return out;
 }
@@ -53,12 +56,56 @@ GLsizeiptr byte_count(const auto& v) {
   return static_cast<GLsizeiptr>(v.size() * sizeof(v[0]));
 }
 
-// What of an open point's light comes to a vertex from even light, its own reflections counted.
-std::vector<float> openness_of(const prt::Transfer& transfer, std::size_t vertices) {
-  const float open = static_cast<float>(std::sqrt(1 / (4 * kPi)));  // Y_0
-  std::vector<float> out(vertices, 1);
-  for (std::size_t i = 0; i < std::min(vertices, transfer.points); ++i)
-    out[i] = std::clamp(transfer.value(0, 0, i) / open, 0.f, 1.f);
+// Two bands of transfer of an open point from directions below the horizon, as (Y_0; along the
+// normal's horizontal part, up), by the height of the normal. By sums over directions.
+std::array<glm::vec3, 65> make_from_below() {
+  constexpr int kSteps = 64;
+  std::array<glm::vec3, 65> out{};
+  for (std::size_t k = 0; k < out.size(); ++k) {
+    const double up = static_cast<double>(k) / 32 - 1;
+    const glm::dvec3 n(std::sqrt(std::max(0., 1 - up * up)), up, 0);
+    glm::dvec3 sum(0);
+    for (int i = 0; i < kSteps; ++i)
+      for (int j = 0; j < 2 * kSteps; ++j) {
+        const double y = -(i + .5) / kSteps, phi = kPi * (j + .5) / kSteps,
+                     r = std::sqrt(1 - y * y);
+        const glm::dvec3 d(r * std::cos(phi), y, r * std::sin(phi));
+        sum += std::max(glm::dot(n, d), 0.) * glm::dvec3(1, d.x, d.y);
+      }
+    const double each = 2 * kPi / (2. * kSteps * kSteps) / kPi;
+    out[k] = glm::vec3(sum * each * glm::dvec3(.282095, .488603, .488603));
+  }
+  return out;
+}
+
+glm::vec4 from_below(const glm::vec3& n) {
+  static const std::array<glm::vec3, 65> table = make_from_below();
+  const float at = 32 * (std::clamp(n.y, -1.f, 1.f) + 1);
+  const auto k = std::min(static_cast<std::size_t>(at), table.size() - 2);
+  const glm::vec3 one = glm::mix(table[k], table[k + 1], at - static_cast<float>(k));
+  const float across = std::hypot(n.x, n.z), to_unit = across > 0 ? 1 / across : 0;
+  return {one.x, one.y * n.x * to_unit, one.z, one.y * n.z * to_unit};
+}
+
+// Two bands of what lets light in at a vertex, as (Y_0; x, y, z of Y_1): its transfer without what
+// came by reflection, and what the floor takes, which a mirror shows. Where there is none, that of
+// an open point.
+std::vector<glm::vec4> openness_of(const prt::BakedObject& baked) {
+  const prt::Transfer &all = baked.transfer, &reflected = baked.reflected;
+  const auto holds = [](const prt::Transfer& t, std::size_t i) {
+    return i < t.points && !t.values.empty() && t.bands >= 2;
+  };
+  std::vector<glm::vec4> out(baked.mesh.positions.size());
+  for (std::size_t i = 0; i < out.size(); ++i) {
+    const glm::vec3 n = baked.mesh.normals[i];
+    out[i] = glm::vec4(.282095f, .325735f * n);  // A_l Y / pi, with A_1 = 2 pi / 3
+    if (!holds(all, i)) continue;
+    const auto direct = [&](int k) {
+      return all.value(0, k, i) - (holds(reflected, i) ? reflected.value(0, k, i) : 0);
+    };
+    out[i] = {direct(0), direct(3), direct(1), direct(2)};  // Y_1 goes y, z, x
+    if (baked.receiver) out[i] += from_below(n);
+  }
   return out;
 }
 
@@ -142,6 +189,7 @@ GlossyFeatures Glossy::features_of(const GlossyObject& o, const GlossyObject::Pa
   add(bool(m.base_colour_map), kBaseColourMap);
   add(m.alpha == prt::Material::Alpha::kMask, kMask);
   add(o.is_blended(part), kBlend);
+  add(m.alpha == prt::Material::Alpha::kBlend, kAlpha);
   add(m.double_sided, kDoubleSided);
   add(m.unlit, kUnlit);
   if (m.unlit) return out;
@@ -219,7 +267,7 @@ GlossyObject Glossy::add(const prt::BakedObject& baked, const prt::Mesh& drawn,
   surface->extend(middles);
   o.surface = std::move(surface);
   o.own_vertices = baked.mesh.positions.size();
-  o.openness = openness_of(baked.transfer, o.own_vertices);
+  o.openness = openness_of(baked);
   for (const auto& [a, b] : middles) o.openness.push_back(.5f * (o.openness[a] + o.openness[b]));
   const auto material_of = [&](const GlossyObject::Triangle& t) {
     return static_cast<std::size_t>(o.surface->material[t[0]]);
@@ -240,7 +288,8 @@ GlossyObject Glossy::add(const prt::BakedObject& baked, const prt::Mesh& drawn,
   glossy_attribute(4, 3, offsetof(VertexAttributes, normal));
   glossy_attribute(5, 4, offsetof(VertexAttributes, tangent));
   glossy_attribute(6, 4, offsetof(VertexAttributes, coordinates));
-  glossy_attribute(7, 4, offsetof(VertexAttributes, tint_and_openness));
+  glossy_attribute(7, 3, offsetof(VertexAttributes, tint));
+  glossy_attribute(9, 4, offsetof(VertexAttributes, openness));
   glBindBuffer(GL_ARRAY_BUFFER, o.shares.get());
   const std::vector<std::uint8_t> open(4 * drawn.positions.size(), 255);
   glBufferData(GL_ARRAY_BUFFER, byte_count(open), open.data(), GL_DYNAMIC_DRAW);

@@ -34,9 +34,9 @@ struct GlossyObject {
   std::shared_ptr<const prt::SurfaceMaterials> surface;
   GlBuffer attributes{}, shares{}, sorted{};
   std::vector<Part> parts{};
-  std::vector<float> openness{};  // by vertex that GL draws
-  std::size_t own_vertices = 0;   // the others lie between two of them
-  bool shows_backs = false;       // of some part
+  std::vector<glm::vec4> openness{};  // by vertex that GL draws, see glossy.cpp
+  std::size_t own_vertices = 0;       // the others lie between two of them
+  bool shows_backs = false;           // of some part
 
   bool is_blended(const Part& part) const;
   bool any(bool blended) const;

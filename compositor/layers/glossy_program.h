@@ -22,6 +22,7 @@ enum class GlossyFeatures : std::uint32_t {
   kClearcoat = 512,
   kLights = 1024,
   kOcclusionInRoughness = 2048,  // one picture for both
+  kAlpha = 4096,                 // that of the base colour counts
 };
 constexpr GlossyFeatures operator|(GlossyFeatures a, GlossyFeatures b) {
   return static_cast<GlossyFeatures>(static_cast<std::uint32_t>(a) | static_cast<std::uint32_t>(b));
@@ -32,12 +33,19 @@ constexpr bool has(GlossyFeatures all, GlossyFeatures one) {
 
 /// in: cut: whether is_shown() may say no
 inline std::string glossy_defines(GlossyFeatures features, bool cut) {
-  constexpr const char* kNames[] = {"BASE_COLOUR_MAP", "METALLIC_ROUGHNESS_MAP",
-                                    "NORMAL_MAP",      "OCCLUSION_MAP",
-                                    "EMISSION_MAP",    "MASK",
-                                    "BLEND",           "DOUBLE_SIDED",
-                                    "UNLIT",           "CLEARCOAT",
-                                    "LIGHTS"};
+  constexpr const char* kNames[] = {"BASE_COLOUR_MAP",
+                                    "METALLIC_ROUGHNESS_MAP",
+                                    "NORMAL_MAP",
+                                    "OCCLUSION_MAP",
+                                    "EMISSION_MAP",
+                                    "MASK",
+                                    "BLEND",
+                                    "DOUBLE_SIDED",
+                                    "UNLIT",
+                                    "CLEARCOAT",
+                                    "LIGHTS",
+                                    "OCCLUSION_IN_ROUGHNESS",
+                                    "ALPHA"};
   std::string out = cut ? "#define CUT\n" : "";
   for (std::uint32_t i = 0; i < std::size(kNames); ++i)
     if (static_cast<std::uint32_t>(features) >> i & 1)
@@ -53,28 +61,31 @@ layout(location = 1) in vec3 irradiance;
 layout(location = 4) in vec3 normal;
 layout(location = 5) in vec4 tangent;
 layout(location = 6) in vec4 coordinates;
-layout(location = 7) in vec4 tint_and_openness;
+layout(location = 7) in vec3 vertex_tint;
 layout(location = 8) in vec4 light_shares;
+layout(location = 9) in vec4 open_towards;
 uniform mat4 world_from_object;
 centroid out vec3 light, at, up;
-centroid out vec4 along, place, tint, shares;
+centroid out vec3 tint;
+centroid out vec4 along, place, shares, openness;
 void main() {
   light = irradiance;
   at = (world_from_object * vec4(position, 1)).xyz;
   up = mat3(world_from_object) * normal;
   along = vec4(mat3(world_from_object) * tangent.xyz, tangent.w);
   place = coordinates;
-  tint = tint_and_openness;
+  tint = vertex_tint;
+  openness = vec4(open_towards.x, mat3(world_from_object) * open_towards.yzw);
   shares = light_shares;
   gl_Position = place_in_picture(position);
 })";
 
 // Diffuse light by transfer, what is reflected from the maps of the surroundings by the split sum,
-// and the lights as discs. Sources: glTF 2.0, appendix B; Karis 2013; Turquin 2019 (again);
-// Lagarde & de Rousiers 2014 (occlusion of reflections by the openness).
+// and the lights as discs. Sources: glTF 2.0, appendix B; Karis 2013; Turquin 2019 (again).
 inline constexpr const char* kGlossyFragment = R"(
 centroid in vec3 light, at, up;
-centroid in vec4 along, place, tint, shares;
+centroid in vec3 tint;
+centroid in vec4 along, place, shares, openness;
 uniform float signal_per_radiance, emission_unit, largest_level;
 uniform vec3 eye;
 uniform vec4 base_colour;
@@ -128,6 +139,16 @@ vec3 mirrored_lights(vec3 n, vec3 v, float n_dot_v, float alpha, vec3 f0, float 
   }
   return sum;
 }
+vec2 reflected_of_even(float n_dot_v, float rough) {
+  return texture(reflected, (vec2(n_dot_v, rough) * 31.0 + 0.5) / 32.0).xy;
+}
+// What the surface lets in from around a direction, of what an open one does: both by two bands of
+// harmonics.
+float open_share(vec3 r, vec3 plain) {
+  float here = 0.282095 * openness.x + 0.488603 * dot(openness.yzw, r);
+  float open = (1.0 + 2.0 * max(dot(plain, r), 0.0)) / (4.0 * 3.14159265);
+  return clamp(here / open, 0.0, 1.0);
+}
 vec3 surroundings_towards(vec3 r, float rough) {
   return textureLod(surroundings, r, rough * largest_level).rgb;
 }
@@ -136,7 +157,7 @@ void main() {
 #ifdef CUT
   if (!is_shown()) discard;
 #endif
-  vec4 base = base_colour * vec4(tint.rgb, 1);
+  vec4 base = base_colour * vec4(tint, 1);
 #ifdef BASE_COLOUR_MAP
   base *= texture(base_colour_map, place_of(0));
 #endif
@@ -144,7 +165,7 @@ void main() {
   // The edge of the mask is a pixel wide, however large the texture is seen.
   base.a = clamp((base.a - alpha_cutoff) / max(fwidth(base.a), 1e-4) + 0.5, 0.0, 1.0);
   if (base.a == 0.0) discard;
-#elif !defined(BLEND)
+#elif !defined(ALPHA)
   base.a = 1.0;
 #endif
 #ifdef UNLIT
@@ -157,7 +178,7 @@ void main() {
   metal *= t.b;
 #endif
   vec3 plain = normalize(up), n = plain, diffuse_light = light;
-  float open = tint.a;
+  float occlusion = 1.0;
 #ifdef NORMAL_MAP
   vec3 lean = texture(normal_map, place_of(2)).xyz * 2.0 - 1.0;
   lean.xy *= normal_scale;
@@ -172,19 +193,19 @@ void main() {
   diffuse_light *= clamp(open_irradiance(n) / max(open_irradiance(plain), 1e-6), 0.0, 4.0);
 #endif
 #ifdef OCCLUSION_IN_ROUGHNESS
-  open *= 1.0 + occlusion_strength * (t.r - 1.0);
+  occlusion += occlusion_strength * (t.r - 1.0);
 #elif defined(OCCLUSION_MAP)
-  open *= 1.0 + occlusion_strength * (texture(occlusion_map, place_of(3)).r - 1.0);
+  occlusion += occlusion_strength * (texture(occlusion_map, place_of(3)).r - 1.0);
 #endif
   vec3 v = normalize(eye - at);
   float n_dot_v = clamp(dot(n, v), 1e-3, 1.0);
-  vec2 even = texture(reflected, vec2(n_dot_v, rough)).xy;
+  vec2 even = reflected_of_even(n_dot_v, rough);
   vec3 f0 = mix(reflectance, base.rgb, metal);
   float f90 = mix(grazing_reflectance, 1.0, metal);
   vec3 again = 1.0 + f0 * (1.0 / max(even.x + even.y, 1e-3) - 1.0);
   vec3 share = (f0 * even.x + f90 * even.y) * again;
   vec3 r = reflect(-v, n);
-  float seen = clamp(pow(n_dot_v + open, exp2(-16.0 * rough - 1.0)) - 1.0 + open, 0.0, 1.0);
+  float seen = occlusion * open_share(r, plain);
 #ifdef NORMAL_MAP
   float above = clamp(1.0 + dot(r, plain), 0.0, 1.0);
   seen *= above * above;
@@ -203,7 +224,7 @@ void main() {
   shown += emission * emission_unit;
 #endif
 #ifdef CLEARCOAT
-  vec2 coat_even = texture(reflected, vec2(n_dot_v, clearcoat_roughness)).xy;
+  vec2 coat_even = reflected_of_even(n_dot_v, clearcoat_roughness);
   float coat = clearcoat * (0.04 * coat_even.x + coat_even.y);
   shown = shown * (1.0 - coat) + coat * seen * surroundings_towards(r, clearcoat_roughness);
 #ifdef LIGHTS

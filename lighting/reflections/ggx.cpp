@@ -6,7 +6,6 @@
 #include <glm/geometric.hpp>
 
 #include "core/conventions.h"
-#include "core/threads/parallel.h"
 
 namespace penumbra::lighting {
 
@@ -66,14 +65,14 @@ glm::vec2 reflected_of_even(float n_dot_v, float roughness) {
 }
 
 const Image<glm::vec2>& reflected_of_even_table() {
+  // On one core: within another parallel loop one could wait for itself.
   static const Image<glm::vec2> table = [] {
+    constexpr float kStep = 1.f / (kReflectedTable - 1);
     Image<glm::vec2> out(kReflectedTable, kReflectedTable);
-    parallel_for(0, kReflectedTable, 1, [&](const auto& rows) {
-      for (int y = rows.begin(); y < rows.end(); ++y)
-        for (int x = 0; x < kReflectedTable; ++x)
-          out.at(x, y) = reflected_of_even((static_cast<float>(x) + .5f) / kReflectedTable,
-                                           (static_cast<float>(y) + .5f) / kReflectedTable);
-    });
+    for (int y = 0; y < kReflectedTable; ++y)
+      for (int x = 0; x < kReflectedTable; ++x)
+        out.at(x, y) =
+            reflected_of_even(kStep * static_cast<float>(x), kStep * static_cast<float>(y));
     return out;
   }();
   return table;

@@ -27,7 +27,8 @@ float ggx_visibility(float alpha, float n_dot_l, float n_dot_v);
 /// source: Karis 2013
 glm::vec2 reflected_of_even(float n_dot_v, float roughness);
 
-/// The same by n.v across and roughness down, at the middles of pixels; made once.
+/// The same by n.v across and roughness down, both 0 at the first pixel and 1 at the last; made
+/// once.
 constexpr int kReflectedTable = 32;
 const Image<glm::vec2>& reflected_of_even_table();
 

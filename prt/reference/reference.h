@@ -5,11 +5,13 @@
 #include <cstdint>
 #include <functional>
 #include <glm/vec3.hpp>
+#include <memory>
 #include <span>
 #include <vector>
 
 #include "core/image.h"
 #include "core/result.h"
+#include "prt/geometry/material.h"
 #include "prt/geometry/mesh.h"
 #include "prt/geometry/pinhole_view.h"
 #include "prt/geometry/plane.h"
@@ -32,6 +34,10 @@ struct ReferenceWorld {
   /// What a ray that leaves the camera and meets nothing shows; `light` when empty.
   std::function<Rgb(const glm::vec3&)> background;
   std::vector<SphereLight> lamps{};
+  /// Of the vertices of `mesh`; null: they are Lambertian with its albedo. What glows lights the
+  /// rest, found by chance alone.
+  std::shared_ptr<const SurfaceMaterials> surface{};
+  float emission_unit = 1;  // radiance of an emission of 1
 };
 
 struct ReferenceOptions {
@@ -53,7 +59,7 @@ struct Reference {
 };
 
 /// Path tracer with next-event estimation and balance-heuristic weights (Veach & Guibas 1995).
-/// errors: kInvalid (size), kUnavailable
+/// errors: kInvalid (size, world), kUnavailable
 Result<Reference> render_reference(const ReferenceWorld& world, const PinholeView& view,
                                    const ReferenceOptions& options);
 

@@ -225,6 +225,12 @@ Result<LoadedAsset> load_asset(const std::string& asset, Rgb albedo, float edge_
 /// All meshes of a scene that are visible from the start, in the world frame at a time, for the
 /// reference.
 prt::Mesh world_mesh(const PreparedScene& scene, bool with_objects, double seconds = 0);
+/// Of the same vertices: those without materials are Lambertian with their albedo. Null where there
+/// are no materials at all.
+/// errors: kInvalid (more than 65,536 materials)
+Result<std::shared_ptr<const prt::SurfaceMaterials>> world_surface(const PreparedScene& scene,
+                                                                   bool with_objects,
+                                                                   double seconds = 0);
 
 }  // namespace penumbra::runtime
 #pragma GCC visibility pop

@@ -7,6 +7,8 @@
 #include "compositor/composite/compositor.h"
 #include "core/conventions.h"
 #include "core/threads/parallel.h"
+#include "lighting/estimate.h"
+#include "lighting/sh/irradiance.h"
 #include "prt/reference/environment_light.h"
 #include "prt/reference/reference.h"
 #include "runtime/direct/direct_light_stage.h"
@@ -28,6 +30,14 @@ calib::CameraModel camera_of(const prt::PinholeView& view,
   if (lens) return *lens;
   return {calib::ProjectionKind::kPinhole, view.width, view.height, view.focal_px,
           view.principal_px};
+}
+
+// Radiance of white paper that lies in the light, as runtime/shading/mirrored_surroundings.cpp.
+float emission_unit(const StillScene& in, const std::optional<lighting::LightEstimate>& light) {
+  const glm::dvec3 up(0, 1, 0);
+  const Rgb e = light ? lighting::evaluate(lighting::irradiance(lighting::whole_light(*light)), up)
+                      : exact_irradiance(*in.environment, up);
+  return std::max(0.f, luminance(e)) * static_cast<float>(1 / kPi);
 }
 
 }  // namespace
@@ -146,6 +156,9 @@ Result<Still> render_reference(const StillScene& in, bool with_objects, double e
                 : map_light;
   prt::ReferenceWorld world;
   world.mesh = runtime::world_mesh(*in.scene, with_objects, in.seconds);
+  PENUMBRA_ASSIGN(surface, runtime::world_surface(*in.scene, with_objects, in.seconds));
+  world.surface = std::move(surface);
+  world.emission_unit = emission_unit(in, truncated);
   world.planes = in.scene->planes;
   if (with_objects)
     for (const shadows::Lamp& lamp : in.scene->lamps)

@@ -1,0 +1,223 @@
+// Objects of metal, plastic and rubber in rooms that they mirror: the composite against the world
+// in which they really stand.
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cmath>
+#include <functional>
+#include <glm/geometric.hpp>
+#include <memory>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "capture/capture.h"
+#include "core/conventions.h"
+#include "lighting/lighting.h"
+#include "tests/support/environment_maps.h"
+#include "tests/support/worlds.h"
+#include "tools/chart/measures/accuracy.h"
+
+namespace penumbra::tools {
+
+using namespace runtime;
+namespace {
+
+using prt::Material, prt::Rgba8, prt::SurfaceMaterials;
+
+// ---------------------------------------------------------------------------------- materials
+
+std::shared_ptr<const prt::TexturePicture> picture_of(
+    const std::function<glm::vec3(float u, float v)>& value) {
+  constexpr int kSize = 64;
+  auto out = std::make_shared<prt::TexturePicture>();
+  out->codes = Image<Rgba8>(kSize, kSize);
+  const auto code = [](float v) { return static_cast<std::uint8_t>(std::lround(255 * v)); };
+  for (int y = 0; y < kSize; ++y)
+    for (int x = 0; x < kSize; ++x) {
+      const glm::vec3 c =
+          value((static_cast<float>(x) + .5f) / kSize, (static_cast<float>(y) + .5f) / kSize);
+      out->codes.at(x, y) = {code(c.x), code(c.y), code(c.z), 255};
+    }
+  return out;
+}
+
+// Tiles with dents, glazed in the middle and rough at the edge.
+Material tiles() {
+  const auto wave = [](float t) { return std::sin(2 * static_cast<float>(kPi) * t); };
+  Material m{.name = "tiles", .metallic = 1, .roughness = 1};
+  m.base_colour_map.picture = picture_of(
+      [&](float u, float v) { return .6f + .25f * glm::vec3(wave(u), wave(v), wave(u + v)); });
+  m.metallic_roughness_map.picture = picture_of([&](float u, float v) {
+    return glm::vec3(1, .5f + .2f * wave(u) * wave(v), wave(v) > 0 ? 1.f : 0.f);
+  });
+  m.normal_map.picture = picture_of([&](float u, float v) {
+    const glm::vec3 n = glm::normalize(glm::vec3(.25f * wave(u), .25f * wave(v), 1));
+    return .5f + .5f * n;
+  });
+  return m;
+}
+
+const Rgb kSteel{.55f, .56f, .55f};
+
+struct Surface {
+  const char* name;
+  Material material;
+};
+const std::vector<Surface>& surfaces() {
+  static const std::vector<Surface> all = {
+      {"gold", {.base_colour = {1, .77f, .34f}, .metallic = 1, .roughness = .25f}},
+      {"chrome", {.base_colour = kSteel, .metallic = 1, .roughness = .05f}},
+      {"brushed", {.base_colour = kSteel, .metallic = 1, .roughness = .5f}},
+      {"plastic", {.base_colour = {.5f, .1f, .1f}, .metallic = 0, .roughness = .3f}},
+      {"rubber", {.base_colour = {.2f, .2f, .2f}, .metallic = 0, .roughness = .9f}},
+      {"tiles", tiles()}};
+  return all;
+}
+
+std::shared_ptr<const SurfaceMaterials> surface_of(const prt::Mesh& mesh,
+                                                   const Material& material) {
+  SurfaceMaterials out;
+  out.materials = {material};
+  out.material.assign(mesh.positions.size(), 0);
+  for (std::size_t i = 0; i < mesh.positions.size(); ++i) {
+    const glm::vec3 along = glm::cross(glm::vec3(0, 1, 0), mesh.normals[i]), p = mesh.positions[i];
+    out.tangents.emplace_back(
+        glm::length(along) > 1e-4f ? glm::normalize(along) : glm::vec3(1, 0, 0), 1.f);
+    out.coordinates[0].emplace_back(8 * (p.x + .5f * p.z), 8 * (.5f * p.z - p.y));
+  }
+  return std::make_shared<const SurfaceMaterials>(std::move(out));
+}
+
+// ---------------------------------------------------------------------------------- worlds
+
+// What a bake sees of a material: its base colour.
+Rgb baked_albedo(const Material& m) {
+  return m.base_colour_map ? kSteel : m.base_colour;  // near the mean of the tiles' picture
+}
+
+const Rgb kFloor{.4f, .4f, .4f};
+
+Result<PreparedScene> scene_of(const std::string& shape, const Material& material) {
+  SceneObject o = test::twist({0, 0, 0});
+  o.asset = "builtin:" + shape;
+  o.name = shape;
+  o.albedo = baked_albedo(material);
+  o.coarse = true;  // seconds, and what is missing is not the bake's
+  PENUMBRA_ASSIGN(scene, test::prepared({{o}, {test::grey_plane()}}));
+  scene.objects[0].baked.surface = surface_of(scene.objects[0].baked.mesh, material);
+  return scene;
+}
+
+// As the camera of the surroundings sees it above the floor that is really there: the lower half of
+// a map of elsewhere would show another one.
+Image<Rgb> above_floor(Image<Rgb> map) {
+  const Rgb floor = kFloor * exact_irradiance(map, {0, 1, 0}) * static_cast<float>(1 / kPi);
+  for (int y = map.height() / 2; y < map.height(); ++y) std::ranges::fill(map.row(y), floor);
+  return map;
+}
+
+lighting::LightEstimate light_of(const Image<Rgb>& map) {
+  lighting::LightEstimator estimator({5, {}});
+  estimator.mirror({.least = 0, .most = 1});
+  Environment environment;
+  environment.radiance = map;
+  const auto light = estimator.estimate(environment);
+  EXPECT_TRUE(light);
+  return light ? *light : lighting::LightEstimate{};
+}
+
+struct Bar {
+  const char* material;
+  double object, shadow;
+};
+struct GlossyCase {
+  const char *shape, *map;
+  std::vector<Bar> bars;
+};
+void PrintTo(const GlossyCase& c, std::ostream* out) {
+  *out << c.shape << ' ' << c.map;
+}
+
+class GlossyGroundTruth : public testing::TestWithParam<GlossyCase> {};
+
+TEST_P(GlossyGroundTruth, ObjectFollowsTheWorldThatItMirrors) {
+  const GlossyCase& c = GetParam();
+  PENUMBRA_NEED_ENVIRONMENT(read, c.map);
+  const Image<Rgb> map = above_floor(read);
+  const lighting::LightEstimate light = light_of(map);
+  lighting::LightEstimate harmonics = light;  // which are mirrored alone then
+  harmonics.reflections.reset();
+  const prt::PinholeView view{
+      96, 72, {105, 105}, {48, 36}, capture::look_at({.25, .95, 1.35}, {0, .17, 0})};
+  std::optional<Masks> masks;
+  for (const Bar& bar : c.bars) {
+    const Material& material =
+        std::ranges::find(surfaces(), std::string_view(bar.material), &Surface::name)->material;
+    const auto scene = scene_of(c.shape, material);
+    ASSERT_TRUE(scene) << scene.error().detail;
+    if (!masks) {
+      auto made = make_masks(*scene, view);
+      if (!made && made.error().code == ErrorCode::kUnavailable)
+        GTEST_SKIP() << "no OpenGL ES 3.1 here: " << made.error().detail;
+      ASSERT_TRUE(made) << made.error().detail;
+      masks = std::move(*made);
+    }
+    const StillScene in{&*scene, &map, view};
+    const auto empty = render_real(in, .02, {});
+    const auto truth = render_reference(in, true, .025, std::nullopt, {});
+    ASSERT_TRUE(empty && truth);
+    const auto ours = render_composite(in, light, *empty);
+    const auto blurred = render_composite(in, harmonics, *empty);
+    ASSERT_TRUE(ours && blurred);
+    const Accuracy a = compare_pictures(*ours, *truth, *empty, *masks),
+                   naive = compare_pictures(*blurred, *truth, *empty, *masks);
+    std::printf(
+        "%-4s %-15s %-8s object %.1f %% (mirrors harmonics %.1f %%), bias %+.1f %%, shadow %.4f\n",
+        c.shape, c.map, bar.material, 100 * a.object_without_noise,
+        100 * naive.object_without_noise, 100 * a.object_bias, a.shadow_rmse);
+    EXPECT_LT(a.object_without_noise, bar.object) << bar.material;
+    EXPECT_LT(a.shadow_rmse, bar.shadow) << bar.material;
+    EXPECT_LT(std::abs(a.object_bias), .15) << bar.material;
+    EXPECT_LT(a.object_without_noise, naive.object_without_noise) << bar.material;
+  }
+}
+
+// A little above what they come to; the goal is .06. What is missing, by terms that are switched off
+// in the reference, for gold:
+// - A knot mirrors itself: 82 % off if it did not, 37 % with the openness of places, which then tells
+//   what is hidden, and 54 % as the bake has it, where what a bright knot sends itself counts as open.
+//   What is mirrored twice is 31 %.
+// - A lobe is seen along the normal: 8 % of a ball in the room, 70 % under a studio's lamps.
+// - A roughness between two maps mixes a sharp lamp with a blurred one: 8 and 90 % of it, 3 to 5 and
+//   28 % where the roughness is a map's own.
+// - The floor that is mirrored is lit as if nothing stood on it: 7 %.
+// - What a metal sends to the floor is mirrored, not scattered: a box before a window.
+const GlossyCase kGlossyCases[] = {
+    {"ball",
+     "room",
+     {{"gold", .16, .045},
+      {"chrome", .15, .045},
+      {"brushed", .145, .035},
+      {"plastic", .057, .035},
+      {"rubber", .03, .035},
+      {"tiles", .14, .035}}},
+    {"knot",
+     "room",
+     {{"gold", .42, .045},
+      {"chrome", .62, .045},
+      {"brushed", .3, .035},
+      {"plastic", .105, .035},
+      {"rubber", .045, .035},
+      {"tiles", .48, .035}}},
+    {"box", "room", {{"gold", .092, .14}, {"plastic", .075, .04}}},
+    {"ball", "studio_small_03", {{"gold", 1.25, .07}, {"plastic", .2, .04}}},
+    {"ball", "venice_sunset", {{"gold", .11, .07}, {"plastic", .1, .04}}},
+};
+INSTANTIATE_TEST_SUITE_P(Worlds, GlossyGroundTruth, testing::ValuesIn(kGlossyCases),
+                         [](const auto& c) {
+                           return std::string(c.param.shape) + "_" + c.param.map;
+                         });
+
+}  // namespace
+}  // namespace penumbra::tools
