@@ -183,14 +183,12 @@ TEST_P(GlossyGroundTruth, ObjectFollowsTheWorldThatItMirrors) {
   }
 }
 
-// A little above what they come to; the goal is .06. What is missing, by terms that are switched off
-// in the reference, for gold:
-// - A knot mirrors itself: 82 % off if it did not, 37 % with the openness of places, which then tells
-//   what is hidden, and 54 % as the bake has it, where what a bright knot sends itself counts as open.
-//   What is mirrored twice is 31 %.
+// A little above what they come to; the goal is .06. What is missing, by terms that are switched
+// off in the reference, for gold:
+// - A knot mirrors itself: 82 % off if it did not. What is mirrored twice is 31 %.
 // - A lobe is seen along the normal: 8 % of a ball in the room, 70 % under a studio's lamps.
-// - A roughness between two maps mixes a sharp lamp with a blurred one: 8 and 90 % of it, 3 to 5 and
-//   28 % where the roughness is a map's own.
+// - A roughness between two maps mixes a sharp lamp with a blurred one: 8 and 90 % of it, 3 to 5
+//   and 28 % where the roughness is a map's own.
 // - The floor that is mirrored is lit as if nothing stood on it: 7 %.
 // - What a metal sends to the floor is mirrored, not scattered: a box before a window.
 const GlossyCase kGlossyCases[] = {
