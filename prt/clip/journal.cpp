@@ -35,7 +35,7 @@ Result<std::uintmax_t> scan(const std::filesystem::path& path, const JournalKey&
   JournalHead head{};
   in.read(reinterpret_cast<char*>(&head), sizeof head);
   if (!in || std::memcmp(head.magic, kMagic, sizeof kMagic) != 0)
-    return fail(ErrorCode::kUnreadable, path.string(), "is not a journal of a bake");
+    return fail(ErrorCode::kUnreadable, path.string(), "is not a journal of a bake: remove it");
   if (JournalKey{head.bake, head.frames, head.values} != key)
     return fail(ErrorCode::kInvalid, path.string(),
                 "is the journal of another bake, with another asset, clip or setting: remove it, "

@@ -387,8 +387,10 @@ TEST_F(GltfMaterial, TheNineAssetsAreWhatTheirNamesSay) {
       EXPECT_EQ(*map ? map->picture->codes.width() : 256, 256);
     assets[a.name] = std::move(import);
   }
-  for (const char* metal : {"gold", "chrome", "brushed_metal"})
-    expect_near(assets[metal].mesh.albedo[0], {0, 0, 0});
+  for (const char* metal : {"gold", "chrome", "brushed_metal"}) {
+    EXPECT_EQ(only(assets[metal]).metallic, 1);
+    expect_near(assets[metal].mesh.albedo[0], only(assets[metal]).base_colour);
+  }
   EXPECT_GT(assets["plastic"].mesh.albedo[0].r, .5f);
   EXPECT_EQ(only(assets["plastic"]).clearcoat, 1);
   EXPECT_EQ(assets["rubber"].surface->tangents.size(), assets["rubber"].mesh.positions.size());

@@ -190,6 +190,28 @@ TEST(ShardFile, GoesOnFromTheAttemptThatCameFurthest) {
   EXPECT_EQ(files_in(folder.path()), 1U);
 }
 
+// Left by a task of another setting that was cancelled: it must not block the shard for ever.
+TEST(ShardFile, AnAttemptOfAnotherBakeIsPassedOver) {
+  const test::TempFolder folder;
+  Shard shard(folder.path());
+  ASSERT_TRUE(write_bytes(shard.file().string() + ".attempt-a-1", "another bake's many frames\n"));
+  EXPECT_TRUE(shard.make());
+  EXPECT_EQ(shard.baked(), 3);
+  EXPECT_EQ(files_in(folder.path()), 1U);
+}
+
+TEST(ShardFile, CountIsThatOfTheShardsThatAreThere) {
+  const test::TempFolder folder;
+  const std::string output = (folder.path() / "walk.shlm").string();
+  EXPECT_EQ(count_of_shards(output), 0);
+  ASSERT_TRUE(write_bytes(output + ".shard-2-of-34.round-1", "x"));
+  ASSERT_TRUE(write_bytes(output + ".shard-3-of-34.attempt-a-1-0000beef", "x"));
+  ASSERT_TRUE(write_bytes((folder.path() / "run.shlm.shard-1-of-5").string(), "x"));
+  EXPECT_EQ(count_of_shards(output), 34);
+  ASSERT_TRUE(write_bytes(output + ".shard-1-of-33", "x"));
+  EXPECT_EQ(count_of_shards(output), 0) << "of two counts none is the one";
+}
+
 TEST(ShardFile, OneThatWasCutOffIsMadeWhole) {
   const test::TempFolder folder;
   Shard shard(folder.path());

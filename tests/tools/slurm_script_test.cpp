@@ -100,8 +100,9 @@ TEST(SlurmScript, ARefusedJobTakesTheEarlierOnesBack) {
 }
 
 TEST(SlurmScript, AJobGoesOnAfterASignalThriceAndNotAfterARefusal) {
-  const auto runs = [](const std::string& program) {
+  const auto runs = [](const std::string& program, const std::string& folder = "/") {
     SlurmPlan plan = plan_with("x");
+    plan.folder = folder;
     plan.program = "bash";
     plan.stages = {{"merge", {"-c", program}, 0, 1, 1}};
     const std::string script = script_of(plan);
@@ -114,6 +115,8 @@ TEST(SlurmScript, AJobGoesOnAfterASignalThriceAndNotAfterARefusal) {
   EXPECT_EQ(runs("echo run"), std::pair(0, std::string("run\n")));
   EXPECT_EQ(runs("echo run; exit 2"), std::pair(2, std::string("run\n")));
   EXPECT_EQ(runs("echo run; kill -KILL $$"), std::pair(137, std::string("run\nrun\nrun\n")));
+  // Where the shared folder is not there, Slurm would have it run elsewhere.
+  EXPECT_EQ(runs("echo run", "/no such folder"), std::pair(1, std::string()));
 }
 
 TEST(SlurmScript, WhatAScriptCannotHoldIsRefused) {

@@ -9,6 +9,7 @@
 
 #include "core/io/files.h"
 #include "core/io/hash.h"
+#include "runtime/scene/scene.h"
 #include "tools/chart/light_chart.h"
 #include "tools/farm/shard_file.h"
 
@@ -33,8 +34,10 @@ Result<std::string> key_of(const ChartOptions& o, std::span<const std::string> a
   for (const std::string& asset : assets) {
     add_text(hash, std::filesystem::path(asset).filename().string());
     if (asset.starts_with("builtin:")) continue;
-    PENUMBRA_ASSIGN(bytes, read_bytes(asset));
-    hash.add(bytes);
+    // As it is read: a mesh may have files beside it.
+    PENUMBRA_ASSIGN(loaded, runtime::load_asset(asset, {.7f, .7f, .7f}, 0));
+    const prt::Mesh& m = loaded.mesh;
+    hash.add(m.positions).add(m.normals).add(m.albedo).add(m.triangles);
   }
   for (const ChartEnvironment& e : environments) {
     add_text(hash, e.name);

@@ -28,6 +28,10 @@ Result<void> make_shard(const std::filesystem::path& file,
                         const std::function<Result<bool>(const std::filesystem::path&)>& is_whole,
                         const std::function<Result<void>(const std::filesystem::path&)>& bake);
 
+/// Of how many shards those beside the output are, attempts too; 0 without any, or of several
+/// counts.
+int count_of_shards(const std::string& output);
+
 /// Removes shards and what attempts at them have left.
 void remove_shards(const std::vector<std::filesystem::path>& files);
 

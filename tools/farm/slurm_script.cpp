@@ -78,6 +78,8 @@ std::string command_line(const SlurmPlan& plan, const SlurmStage& stage) {
 
 std::string job_text(const SlurmPlan& plan, const SlurmStage& stage) {
   std::string out = "#!/usr/bin/env bash\n";
+  // Where the folder is not on a machine Slurm goes elsewhere, and shards would be lost there.
+  out += fmt::format("cd {} || exit 1\n", shell_quoted(plan.folder));
   if (!plan.copied.empty()) {
     const std::string name = std::filesystem::path(plan.copied).filename().string();
     out += fmt::format(

@@ -92,7 +92,9 @@ Result<void> bake_on_slurm(const BakeCommandOptions& o, const runtime::StandingC
                            const prt::SequenceOptions& options) {
   PENUMBRA_TRY(check_copy(o));
   PENUMBRA_ASSIGN(e, estimate_clip(of.character, of.clip, options, o.slurm.cores));
-  const int shards = o.slurm.shards > 0 ? o.slurm.shards : shards_for(e);
+  // Shards that are there already are used: an estimate is never the same twice.
+  const int known = count_of_shards(o.output);
+  const int shards = o.slurm.shards > 0 ? o.slurm.shards : known > 0 ? known : shards_for(e);
   PENUMBRA_ASSIGN(plan, plan_of(o, e, shards));
   PENUMBRA_TRY(check_old_shards(o, of, options, shards));
   SlurmFiles files{o.output, {}};

@@ -15,6 +15,7 @@
 #include "tools/common/command.h"
 #include "tools/common/print.h"
 #include "tools/common/progress.h"
+#include "tools/farm/shard_choice.h"
 #include "tools/farm/slurm_flags.h"
 #include "tools/penumbra/bake_options.h"
 #include "tools/penumbra/commands.h"
@@ -158,6 +159,7 @@ void add_bake(CLI::App& parent, Action& action) {
            "that --merge reads; auto: the task of a Slurm array; auto/n: that, or the pod of an "
            "indexed Kubernetes job")
           ->needs(clip)
+          ->check(not_empty)
           ->group(kClip);
   c->add_option("--round", bake_options.round,
                 "Bake the shard's part of the key frames between that --interpolation-error asks "
@@ -169,6 +171,7 @@ void add_bake(CLI::App& parent, Action& action) {
   c->add_option("--merge", bake_options.merge,
                 "Number of shards to join into the output, after the key frames that "
                 "--interpolation-error asks for are baked")
+      ->check(within(1, kMaxShards))
       ->needs(clip)
       ->group(kClip);
   CLI::Option* const slurm =
