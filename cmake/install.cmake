@@ -15,7 +15,7 @@ install(DIRECTORY ${penumbra_header_rooms}
         PATTERN compositor/projection.h EXCLUDE PATTERN compositor/view_lens.h EXCLUDE
         PATTERN runtime/studio EXCLUDE PATTERN runtime/surroundings EXCLUDE
         PATTERN runtime/direct EXCLUDE PATTERN runtime/governor EXCLUDE
-        REGEX "runtime/shading/(composite_stage|floor_recovery)\\.h$" EXCLUDE
+        REGEX "runtime/shading/(composite_stage|floor_recovery|mirrored_surroundings)\\.h$" EXCLUDE
         REGEX "runtime/pipeline/(runner|stage_access|light_estimation_stage)\\.h$" EXCLUDE)
 # Installed headers include each other as <penumbra/...>: a program may have a core/result.h too.
 list(JOIN penumbra_header_rooms "|" penumbra_room)
