@@ -181,25 +181,22 @@ bool GlossyObject::has_plain_edges() const {
 
 GlossyFeatures Glossy::features_of(const GlossyObject& o, const GlossyObject::Part& part) const {
   const prt::Material& m = o.surface->materials[part.material];
-  using enum GlossyFeatures;
-  GlossyFeatures out = kNone;
-  const auto add = [&](bool wanted, GlossyFeatures one) {
-    if (wanted) out = out | one;
-  };
-  add(bool(m.base_colour_map), kBaseColourMap);
-  add(m.alpha == prt::Material::Alpha::kMask, kMask);
-  add(o.is_blended(part), kBlend);
-  add(m.alpha == prt::Material::Alpha::kBlend, kAlpha);
-  add(m.double_sided, kDoubleSided);
-  add(m.unlit, kUnlit);
+  using enum GlossyFeatures::Feature;
+  GlossyFeatures out;
+  out.add(kBaseColourMap, bool(m.base_colour_map));
+  out.add(kMask, m.alpha == prt::Material::Alpha::kMask);
+  out.add(kBlend, o.is_blended(part));
+  out.add(kAlpha, m.alpha == prt::Material::Alpha::kBlend);
+  out.add(kDoubleSided, m.double_sided);
+  out.add(kUnlit, m.unlit);
   if (m.unlit) return out;
-  add(bool(m.metallic_roughness_map), kMetallicRoughnessMap);
-  add(bool(m.normal_map), kNormalMap);
-  add(bool(m.occlusion_map), kOcclusionMap);
-  add(is_one_picture(m.metallic_roughness_map, m.occlusion_map), kOcclusionInRoughness);
-  add(bool(m.emission_map), kEmissionMap);
-  add(m.clearcoat > 0, kClearcoat);
-  add(!surroundings_.lights.empty(), kLights);
+  out.add(kMetallicRoughnessMap, bool(m.metallic_roughness_map));
+  out.add(kNormalMap, bool(m.normal_map));
+  out.add(kOcclusionMap, bool(m.occlusion_map));
+  out.add(kOcclusionInRoughness, is_one_picture(m.metallic_roughness_map, m.occlusion_map));
+  out.add(kEmissionMap, bool(m.emission_map));
+  out.add(kClearcoat, m.clearcoat > 0);
+  out.add(kLights, !surroundings_.lights.empty());
   return out;
 }
 

@@ -2,53 +2,59 @@
 // threads: reentrant
 #pragma once
 
+#include <compare>
 #include <cstdint>
 #include <string>
 
 namespace penumbra::compositor {
 
 /// What a surface's program does beyond diffuse light and the mirrored surroundings.
-enum class GlossyFeatures : std::uint32_t {
-  kNone = 0,
-  kBaseColourMap = 1,
-  kMetallicRoughnessMap = 2,
-  kNormalMap = 4,
-  kOcclusionMap = 8,
-  kEmissionMap = 16,
-  kMask = 32,
-  kBlend = 64,
-  kDoubleSided = 128,
-  kUnlit = 256,
-  kClearcoat = 512,
-  kLights = 1024,
-  kOcclusionInRoughness = 2048,  // one picture for both
-  kAlpha = 4096,                 // that of the base colour counts
+class GlossyFeatures {
+ public:
+  enum Feature : std::uint32_t {
+    kBaseColourMap,
+    kMetallicRoughnessMap,
+    kNormalMap,
+    kOcclusionMap,
+    kEmissionMap,
+    kMask,
+    kBlend,
+    kDoubleSided,
+    kUnlit,
+    kClearcoat,
+    kLights,
+    kOcclusionInRoughness,  // one picture for both
+    kAlpha,                 // that of the base colour counts
+    kFeatures
+  };
+  void add(Feature feature, bool wanted) {
+    if (wanted) bits_ |= 1u << feature;
+  }
+  bool has(Feature feature) const { return (bits_ >> feature & 1u) != 0; }
+  friend auto operator<=>(const GlossyFeatures&, const GlossyFeatures&) = default;
+
+ private:
+  std::uint32_t bits_ = 0;
 };
-constexpr GlossyFeatures operator|(GlossyFeatures a, GlossyFeatures b) {
-  return static_cast<GlossyFeatures>(static_cast<std::uint32_t>(a) | static_cast<std::uint32_t>(b));
-}
-constexpr bool has(GlossyFeatures all, GlossyFeatures one) {
-  return (static_cast<std::uint32_t>(all) & static_cast<std::uint32_t>(one)) != 0;
-}
 
 /// in: cut: whether is_shown() may say no
-inline std::string glossy_defines(GlossyFeatures features, bool cut) {
-  constexpr const char* kNames[] = {"BASE_COLOUR_MAP",
-                                    "METALLIC_ROUGHNESS_MAP",
-                                    "NORMAL_MAP",
-                                    "OCCLUSION_MAP",
-                                    "EMISSION_MAP",
-                                    "MASK",
-                                    "BLEND",
-                                    "DOUBLE_SIDED",
-                                    "UNLIT",
-                                    "CLEARCOAT",
-                                    "LIGHTS",
-                                    "OCCLUSION_IN_ROUGHNESS",
-                                    "ALPHA"};
+inline std::string glossy_defines(const GlossyFeatures& features, bool cut) {
+  constexpr const char* kNames[GlossyFeatures::kFeatures] = {"BASE_COLOUR_MAP",
+                                                             "METALLIC_ROUGHNESS_MAP",
+                                                             "NORMAL_MAP",
+                                                             "OCCLUSION_MAP",
+                                                             "EMISSION_MAP",
+                                                             "MASK",
+                                                             "BLEND",
+                                                             "DOUBLE_SIDED",
+                                                             "UNLIT",
+                                                             "CLEARCOAT",
+                                                             "LIGHTS",
+                                                             "OCCLUSION_IN_ROUGHNESS",
+                                                             "ALPHA"};
   std::string out = cut ? "#define CUT\n" : "";
-  for (std::uint32_t i = 0; i < std::size(kNames); ++i)
-    if (static_cast<std::uint32_t>(features) >> i & 1)
+  for (std::uint32_t i = 0; i < GlossyFeatures::kFeatures; ++i)
+    if (features.has(static_cast<GlossyFeatures::Feature>(i)))
       out += std::string("#define ") + kNames[i] + "\n";
   return out;
 }
