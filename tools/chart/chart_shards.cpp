@@ -98,6 +98,8 @@ Result<Cases> read_shard_file(const std::filesystem::path& path, const std::stri
   if (!std::filesystem::exists(path, ignored))
     return fail(ErrorCode::kNotFound, path.string(), "is missing: chart this shard first");
   PENUMBRA_ASSIGN(text, read_text(path));
+  const auto not_whole =
+      fail(ErrorCode::kUnreadable, path.string(), "is not a whole shard of a chart");
   try {
     const Json file = Json::parse(text);
     if (file.at("chart").get<std::string>() != key || file.at("shard").get<int>() != shard.index ||
@@ -110,11 +112,10 @@ Result<Cases> read_shard_file(const std::filesystem::path& path, const std::stri
       out.emplace_back();
       for (const Json& row : rows) out.back().push_back(point_of(row));
     }
-    if (out.size() == cases) return out;
+    return out.size() == cases ? Result<Cases>(std::move(out)) : not_whole;
   } catch (const Json::exception&) {
-    // Said below.
+    return not_whole;
   }
-  return fail(ErrorCode::kUnreadable, path.string(), "is not a whole shard of a chart");
 }
 
 // Of so many cases in all.
