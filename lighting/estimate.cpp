@@ -215,26 +215,32 @@ void LightEstimator::mirror(const RoughnessRange& surfaces) {
   if (!surfaces.empty()) mirror_.emplace(surfaces);
 }
 
-// Lights that are mirrored apart are cut down to what surrounds them, as the residual is.
-void LightEstimator::find_reflections(const Environment& environment, bool split,
+void LightEstimator::cut_out(const DistantLight& light, Image<Rgb>& map) const {
+  const RowOverlay& residual = extraction_.residual;
+  const int width = map.width(), height = map.height(), step = height / residual.height();
+  const double reach = 2 * light.radius.value() + 2 * kPi / residual.height(),
+               polar = std::acos(std::clamp(light.direction.y, -1., 1.));
+  for (int y = 0; y < height; ++y) {
+    if (std::abs(polar - kPi * (y + .5) / height) > reach) continue;
+    for (int x = 0; x < width; ++x)
+      if (glm::dot(latlong_direction(x + .5, y + .5, width, height), light.direction) >
+          std::cos(reach))
+        map.at(x, y) = residual.at(x / step, y / step);
+  }
+}
+
+// Lights that are mirrored apart are cut down to what surrounds them, as the residual is. The map is
+// the whole one also where light is read in blocks: a mirror shows each pixel.
+void LightEstimator::find_reflections(const Environment& whole_map, bool split,
                                       LightEstimate& out) {
   if (!mirror_) return;
-  mirrored_map_ = environment.radiance;
-  const int width = mirrored_map_.width(), height = mirrored_map_.height();
-  for (const std::size_t i : lights_apart(out.lights)) {
-    if (!split) break;
-    const DistantLight& light = out.lights[i];
-    const double reach = 2 * light.radius.value() + 2 * kPi / height;
-    for (int y = 0; y < height; ++y) {
-      if (std::abs(std::acos(light.direction.y) - kPi * (y + .5) / height) > reach) continue;
-      for (int x = 0; x < width; ++x)
-        if (glm::dot(latlong_direction(x + .5, y + .5, width, height), light.direction) >
-            std::cos(reach))
-          mirrored_map_.at(x, y) = extraction_.residual.at(x, y);
-    }
-  }
+  const std::vector<std::size_t> apart =
+      split ? lights_apart(out.lights) : std::vector<std::size_t>();
+  if (!apart.empty()) mirrored_map_ = whole_map.radiance;
+  for (const std::size_t i : apart) cut_out(out.lights[i], mirrored_map_);
   auto map = std::make_shared<ReflectionMap>();
-  mirror_->filter(mirrored_map_, environment.confidence, out.light, *map);
+  mirror_->filter(apart.empty() ? whole_map.radiance : mirrored_map_, whole_map.confidence,
+                  out.light, *map);
   out.reflections = std::move(map);
 }
 
@@ -269,7 +275,7 @@ Result<void> LightEstimator::estimate(const Environment& whole_map, LightEstimat
   }
   out.time = environment.time;
   out.clipped_fraction = environment.clipped_fraction;
-  find_reflections(environment, !without_lights && options_.lights.max_count > 0, out);
+  find_reflections(whole_map, !without_lights && options_.lights.max_count > 0, out);
   return {};
 }
 

@@ -84,7 +84,8 @@ class LightEstimator {
   void choose_max_lights();
   Result<ShProjection> measure_whole(const Environment& environment);
   Result<ShProjection> measure_split(const Environment& environment);
-  void find_reflections(const Environment& environment, bool split, LightEstimate& out);
+  void cut_out(const DistantLight& light, Image<Rgb>& map) const;
+  void find_reflections(const Environment& whole_map, bool split, LightEstimate& out);
 
   std::unique_ptr<class ShInpainting> inpainting_;  // of the newest map; null without holes
   EstimateOptions options_;

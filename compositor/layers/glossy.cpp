@@ -25,29 +25,32 @@ using lighting::ReflectionMap;
 constexpr int kFirstUnit = 3, kMaps = 5, kCubeUnit = kFirstUnit + kMaps,
               kReflectedUnit = kCubeUnit + 1;
 
+// What stays with a vertex, and what turns with the form.
 struct VertexAttributes {
-  glm::vec3 normal;
   glm::vec4 tangent, coordinates;
   glm::vec3 tint;
+};
+struct VertexDirections {
+  glm::vec3 normal;
   glm::vec4 openness;
 };
 
+// Of the buffer that is bound, element by element.
+template <class Element>
 void glossy_attribute(GLuint location, int components, std::size_t offset) {
   glEnableVertexAttribArray(location);
-  glVertexAttribPointer(location, components, GL_FLOAT, GL_FALSE, sizeof(VertexAttributes),
+  glVertexAttribPointer(location, components, GL_FLOAT, GL_FALSE, sizeof(Element),
                         reinterpret_cast<const void*>(offset));
 }
 
-std::vector<VertexAttributes> attributes_of(const GlossyObject& o,
-                                            std::span<const glm::vec3> normals) {
-  const prt::SurfaceMaterials& s = *o.surface;
-  std::vector<VertexAttributes> out(normals.size());
-  for (std::size_t i = 0; i < out.size(); ++i) {
+std::vector<VertexAttributes> attributes_of(const prt::SurfaceMaterials& s, std::size_t count) {
+  std::vector<VertexAttributes> out(count);
+  for (std::size_t i = 0; i < count; ++i) {
     const glm::vec2 a = i < s.coordinates[0].size() ? s.coordinates[0][i] : glm::vec2(0),
                     b = i < s.coordinates[1].size() ? s.coordinates[1][i] : a;
     const Rgb tint = i < s.tint.size() ? s.tint[i] : Rgb{1, 1, 1};
-    out[i] = {normals[i], i < s.tangents.size() ? s.tangents[i] : glm::vec4(1, 0, 0, 1),
-              glm::vec4(a, b), glm::vec3(tint.r, tint.g, tint.b), o.openness[i]};
+    out[i] = {i < s.tangents.size() ? s.tangents[i] : glm::vec4(1, 0, 0, 1), glm::vec4(a, b),
+              glm::vec3(tint.r, tint.g, tint.b)};
   }
   return out;
 }
@@ -87,9 +90,13 @@ glm::vec4 from_below(const glm::vec3& n) {
   return {one.x, one.y * n.x * to_unit, one.z, one.y * n.z * to_unit};
 }
 
-// Two bands of what lets light in at a vertex, as (Y_0; x, y, z of Y_1): its transfer without what
-// came by reflection, and what the floor takes, which a mirror shows. Where there is none, that of
-// an open point.
+// Two bands of transfer of an open point, as (Y_0; x, y, z of Y_1): A_l Y / pi.
+glm::vec4 open_point(const glm::vec3& n) {
+  return {.282095f, .325735f * n};
+}
+
+// The same of what lets light in at a vertex: its transfer without what came by reflection, and what
+// the floor takes, which a mirror shows.
 std::vector<glm::vec4> openness_of(const prt::BakedObject& baked) {
   const prt::Transfer &all = baked.transfer, &reflected = baked.reflected;
   const auto holds = [](const prt::Transfer& t, std::size_t i) {
@@ -98,7 +105,7 @@ std::vector<glm::vec4> openness_of(const prt::BakedObject& baked) {
   std::vector<glm::vec4> out(baked.mesh.positions.size());
   for (std::size_t i = 0; i < out.size(); ++i) {
     const glm::vec3 n = baked.mesh.normals[i];
-    out[i] = glm::vec4(.282095f, .325735f * n);  // A_l Y / pi, with A_1 = 2 pi / 3
+    out[i] = open_point(n);
     if (!holds(all, i)) continue;
     const auto direct = [&](int k) {
       return all.value(0, k, i) - (holds(reflected, i) ? reflected.value(0, k, i) : 0);
@@ -173,10 +180,6 @@ std::vector<GlossyObject::Part> GlossyObject::parts_of(std::span<const Triangle>
                    static_cast<GLsizei>(3 * (i - first))});
   }
   return out;
-}
-
-bool GlossyObject::has_plain_edges() const {
-  return !shows_backs;
 }
 
 GlossyFeatures Glossy::features_of(const GlossyObject& o, const GlossyObject::Part& part) const {
@@ -263,9 +266,8 @@ GlossyObject Glossy::add(const prt::BakedObject& baked, const prt::Mesh& drawn,
   auto surface = std::make_shared<prt::SurfaceMaterials>(*baked.surface);
   surface->extend(middles);
   o.surface = std::move(surface);
-  o.own_vertices = baked.mesh.positions.size();
-  o.openness = openness_of(baked);
-  for (const auto& [a, b] : middles) o.openness.push_back(.5f * (o.openness[a] + o.openness[b]));
+  std::vector<glm::vec4> openness = openness_of(baked);
+  for (const auto& [a, b] : middles) openness.push_back(.5f * (openness[a] + openness[b]));
   const auto material_of = [&](const GlossyObject::Triangle& t) {
     return static_cast<std::size_t>(o.surface->material[t[0]]);
   };
@@ -279,14 +281,20 @@ GlossyObject Glossy::add(const prt::BakedObject& baked, const prt::Mesh& drawn,
     for (const prt::Texture* map : {&m.metallic_roughness_map, &m.normal_map, &m.occlusion_map})
       upload(*map, false);
   }
-  const std::vector<VertexAttributes> attributes = attributes_of(o, drawn.normals);
+  const std::vector<VertexAttributes> attributes =
+      attributes_of(*o.surface, drawn.positions.size());
   glBindBuffer(GL_ARRAY_BUFFER, o.attributes.get());
   glBufferData(GL_ARRAY_BUFFER, byte_count(attributes), attributes.data(), GL_STATIC_DRAW);
-  glossy_attribute(4, 3, offsetof(VertexAttributes, normal));
-  glossy_attribute(5, 4, offsetof(VertexAttributes, tangent));
-  glossy_attribute(6, 4, offsetof(VertexAttributes, coordinates));
-  glossy_attribute(7, 3, offsetof(VertexAttributes, tint));
-  glossy_attribute(9, 4, offsetof(VertexAttributes, openness));
+  glossy_attribute<VertexAttributes>(5, 4, offsetof(VertexAttributes, tangent));
+  glossy_attribute<VertexAttributes>(6, 4, offsetof(VertexAttributes, coordinates));
+  glossy_attribute<VertexAttributes>(7, 3, offsetof(VertexAttributes, tint));
+  std::vector<VertexDirections> directions;
+  for (std::size_t i = 0; i < drawn.normals.size(); ++i)
+    directions.push_back({drawn.normals[i], openness[i]});
+  glBindBuffer(GL_ARRAY_BUFFER, o.directions.get());
+  glBufferData(GL_ARRAY_BUFFER, byte_count(directions), directions.data(), GL_DYNAMIC_DRAW);
+  glossy_attribute<VertexDirections>(4, 3, offsetof(VertexDirections, normal));
+  glossy_attribute<VertexDirections>(9, 4, offsetof(VertexDirections, openness));
   glBindBuffer(GL_ARRAY_BUFFER, o.shares.get());
   const std::vector<std::uint8_t> open(4 * drawn.positions.size(), 255);
   glBufferData(GL_ARRAY_BUFFER, byte_count(open), open.data(), GL_DYNAMIC_DRAW);
@@ -296,21 +304,24 @@ GlossyObject Glossy::add(const prt::BakedObject& baked, const prt::Mesh& drawn,
 }
 
 void Glossy::update_normals(GlossyObject& o, std::span<const glm::vec3> normals) {
-  const std::vector<VertexAttributes> attributes = attributes_of(o, normals);
-  glBindBuffer(GL_ARRAY_BUFFER, o.attributes.get());
-  glBufferSubData(GL_ARRAY_BUFFER, 0, byte_count(attributes), attributes.data());
+  std::vector<VertexDirections> directions;
+  directions.reserve(normals.size());
+  for (const glm::vec3& n : normals) directions.push_back({n, open_point(n)});
+  glBindBuffer(GL_ARRAY_BUFFER, o.directions.get());
+  glBufferSubData(GL_ARRAY_BUFFER, 0, byte_count(directions), directions.data());
 }
 
 void Glossy::set_shares(GlossyObject& o, std::span<const std::array<float, 4>> shares,
                         const EdgeMiddles& middles) {
-  std::vector<std::array<std::uint8_t, 4>> codes(o.openness.size(), {255, 255, 255, 255});
-  for (std::size_t i = 0; i < std::min(shares.size(), o.own_vertices); ++i)
+  std::vector<std::array<std::uint8_t, 4>> codes(o.surface->material.size(), {255, 255, 255, 255});
+  const std::size_t own = codes.size() - middles.size();
+  for (std::size_t i = 0; i < std::min(shares.size(), own); ++i)
     for (std::size_t k = 0; k < 4; ++k)
       codes[i][k] =
           static_cast<std::uint8_t>(std::lround(255 * std::clamp(shares[i][k], 0.f, 1.f)));
   for (std::size_t i = 0; i < middles.size(); ++i)
     for (std::size_t k = 0; k < 4; ++k)
-      codes[o.own_vertices + i][k] =
+      codes[own + i][k] =
           static_cast<std::uint8_t>((codes[middles[i][0]][k] + codes[middles[i][1]][k]) / 2);
   glBindBuffer(GL_ARRAY_BUFFER, o.shares.get());
   glBufferSubData(GL_ARRAY_BUFFER, 0, byte_count(codes), codes.data());
@@ -433,7 +444,7 @@ void Glossy::draw_sorted(const GlossyObject& o, const GlossyObject::Part& part,
 
 void Glossy::draw(const GlossyObject& o, const UseProgram& use, const Placed& placed,
                   bool blended) {
-  for (const GlossyObject::Part& part : o.parts_of(placed.triangles)) {
+  for (const GlossyObject::Part& part : placed.parts) {
     if (o.is_blended(part) != blended) continue;
     const prt::Material& m = o.surface->materials[part.material];
     const GLuint program = use(features_of(o, part));

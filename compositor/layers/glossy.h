@@ -32,18 +32,14 @@ struct GlossyObject {
     GLsizei first, count;  // indices
   };
   std::shared_ptr<const prt::SurfaceMaterials> surface;
-  GlBuffer attributes{}, shares{}, sorted{};
+  GlBuffer attributes{}, directions{}, shares{}, sorted{};
   std::vector<Part> parts{};
-  std::vector<glm::vec4> openness{};  // by vertex that GL draws, see glossy.cpp
-  std::size_t own_vertices = 0;       // the others lie between two of them
-  bool shows_backs = false;           // of some part
+  bool shows_backs = false;  // of some part
 
   bool is_blended(const Part& part) const;
   bool any(bool blended) const;
   /// The parts of some of its triangles, in their order.
   std::vector<Part> parts_of(std::span<const Triangle> triangles) const;
-  /// Every edge is one of its triangles: nothing is masked away, blended or seen from behind.
-  bool has_plain_edges() const;
 };
 
 class Glossy {
@@ -54,6 +50,7 @@ class Glossy {
   /// Adds its attributes to the vertex array that is bound.
   GlossyObject add(const prt::BakedObject& baked, const prt::Mesh& drawn,
                    const EdgeMiddles& middles, std::vector<GlossyObject::Triangle>& triangles);
+  /// Of another form, whose vertices count as open.
   static void update_normals(GlossyObject& object, std::span<const glm::vec3> normals);
   /// Visible shares of Surroundings::lights, by vertex of the object's own; none: all open.
   static void set_shares(GlossyObject& object, std::span<const std::array<float, 4>> shares,
@@ -71,6 +68,7 @@ class Glossy {
     bool cull_backs;
     GLuint indices;  // of the triangles
     std::span<const GlossyObject::Triangle> triangles;
+    std::span<const GlossyObject::Part> parts;  // of them
     std::span<const glm::vec3> positions;
   };
   void draw(const GlossyObject& object, const UseProgram& use, const Placed& placed, bool blended);

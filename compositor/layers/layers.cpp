@@ -180,7 +180,7 @@ int Layers::add_object(const prt::BakedObject& baked, const Appearance& appearan
     o.glossy = glossy_->add(baked, mesh, o.middles, o.triangles);
     o.albedo.assign(baked.mesh.positions.size(), Rgb{1, 1, 1});
     mesh.triangles = o.triangles;
-    if (!fine_ && o.glossy->has_plain_edges()) o.contour.emplace(mesh);
+    if (!fine_ && !o.glossy->shows_backs) o.contour.emplace(mesh);  // all edges are triangles'
   }
   glBindBuffer(GL_ELEMENT_ARRAY_BUFFER, o.indices.get());
   glBufferData(GL_ELEMENT_ARRAY_BUFFER, bytes_of(o.triangles), o.triangles.data(), GL_STATIC_DRAW);
@@ -441,9 +441,10 @@ void Layers::draw_glossy(const View& view, const ViewProjection& from_world, con
     };
     glBindVertexArray(o->geometry.get());
     const auto triangles = seen_alone ? o->contour->seen() : std::span(o->triangles);
+    const auto parts = seen_alone ? o->glossy->parts_of(triangles) : o->glossy->parts;
     glossy_->draw(*o->glossy, use,
                   {o->world_from_bake, eye, fronts_only(*o, eye),
-                   (seen_alone ? o->seen : o->indices).get(), triangles, o->positions},
+                   (seen_alone ? o->seen : o->indices).get(), triangles, parts, o->positions},
                   blended);
   }
 }

@@ -75,11 +75,6 @@ void RoughnessRange::add(float roughness) {
   least = std::min(least, r), most = std::max(most, r);
 }
 
-void RoughnessRange::add(const RoughnessRange& other) {
-  if (other.empty()) return;
-  add(other.least), add(other.most);
-}
-
 ReflectionFilter::ReflectionFilter(const RoughnessRange& asked) {
   constexpr int kSteps = ReflectionMap::kLevels - 1;
   first_ = static_cast<int>(std::floor(asked.least * kSteps));

@@ -27,7 +27,6 @@ struct ReflectionMap {
   std::array<CubeMap, kLevels> levels;
 
   bool empty() const;
-  friend bool operator==(const ReflectionMap&, const ReflectionMap&) = delete;
 };
 
 /// Roughnesses that a scene's surfaces have; none at first.
@@ -36,7 +35,6 @@ struct RoughnessRange {
 
   bool empty() const { return most < least; }
   void add(float roughness);
-  void add(const RoughnessRange& other);
 };
 
 class ReflectionFilter {

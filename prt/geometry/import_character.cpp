@@ -8,6 +8,7 @@
 #include <span>
 
 #include "codec/codec.h"
+#include "codec/display.h"
 #include "core/io/files.h"
 #include "prt/geometry/animation.h"
 #include "prt/geometry/gltf/gltf.h"
@@ -41,10 +42,6 @@ bool finite(const glm::quat& q) {
 }
 bool finite(float v) {
   return std::isfinite(v);
-}
-
-float linear_from_srgb(float v) {  // IEC 61966-2-1
-  return v <= .04045f ? v / 12.92f : std::pow((v + .055f) / 1.055f, 2.4f);
 }
 
 // A texture's albedo as coarse as vertices can show it: each texel a mean, so that no vertex picks
@@ -81,12 +78,13 @@ class CoarseTexture {
       }
   }
   static Rgb linear(const Rgb8& c) {
-    return {linear_from_srgb(float(c.r) / 255), linear_from_srgb(float(c.g) / 255),
-            linear_from_srgb(float(c.b) / 255)};
+    return {codec::linear_from_srgb(float(c.r) / 255), codec::linear_from_srgb(float(c.g) / 255),
+            codec::linear_from_srgb(float(c.b) / 255)};
   }
   static Rgb linear(const Rgb16& c) {
-    return {linear_from_srgb(float(c.r) / 65535), linear_from_srgb(float(c.g) / 65535),
-            linear_from_srgb(float(c.b) / 65535)};
+    return {codec::linear_from_srgb(float(c.r) / 65535),
+            codec::linear_from_srgb(float(c.g) / 65535),
+            codec::linear_from_srgb(float(c.b) / 65535)};
   }
   static Rgb linear(const Rgb& c) { return c; }
 

@@ -8,14 +8,6 @@ namespace penumbra::prt {
 
 namespace {
 
-int wrapped(float place, int size, Texture::Wrap wrap) {
-  const float turns = std::floor(place), inside = place - turns;
-  float at = inside;
-  if (wrap == Texture::Wrap::kClamp) at = std::clamp(place, 0.f, 1.f);
-  if (wrap == Texture::Wrap::kMirror && std::fmod(std::abs(turns), 2.f) == 1) at = 1 - inside;
-  return std::clamp(static_cast<int>(at * static_cast<float>(size)), 0, size - 1);
-}
-
 bool is_masked(const SurfaceMaterials& m, std::uint32_t vertex) {
   return m.materials[m.material[vertex]].alpha == Material::Alpha::kMask;
 }
@@ -71,8 +63,8 @@ float opacity_at(const Material& material, const glm::vec2& coordinates) {
   if (!map) return material.opacity;
   const glm::vec2 place = map.transform * glm::vec3(coordinates, 1);
   const Image<Rgba8>& codes = map.picture->codes;
-  const int x = wrapped(place.x, codes.width(), map.wrap_s),
-            y = wrapped(place.y, codes.height(), map.wrap_t);
+  const int x = texel_at(place.x, codes.width(), map.wrap_s),
+            y = texel_at(place.y, codes.height(), map.wrap_t);
   return material.opacity * static_cast<float>(codes.at(x, y).a) / 255;
 }
 

@@ -74,6 +74,13 @@ struct Material {
   float transmission = 0;         // KHR_materials_transmission; drawn as a stated approximation
 };
 
+/// The texel of a picture of `size` that a place along an axis lies in; a place that is not finite
+/// counts as 0.
+int texel_at(float place, int size, Texture::Wrap wrap);
+
+/// Linear values of sRGB's codes.
+const std::array<float, 256>& linear_of_srgb();
+
 /// What a mesh's vertices have beyond place, normal and albedo. Each vertex is of one material, and
 /// so are the three of a triangle.
 struct SurfaceMaterials {

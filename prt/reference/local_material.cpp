@@ -10,19 +10,6 @@ namespace penumbra::prt {
 
 namespace {
 
-// source: IEC 61966-2-1
-const std::array<float, 256>& linear_of_srgb() {
-  static const std::array<float, 256> table = [] {
-    std::array<float, 256> out{};
-    for (std::size_t i = 0; i < out.size(); ++i) {
-      const double z = static_cast<double>(i) / 255;
-      out[i] = static_cast<float>(z <= .04045 ? z / 12.92 : std::pow((z + .055) / 1.055, 2.4));
-    }
-    return out;
-  }();
-  return table;
-}
-
 // The texel that stands for one beside the picture.
 int wrapped_texel(int i, int size, Texture::Wrap wrap) {
   if (wrap == Texture::Wrap::kClamp) return std::clamp(i, 0, size - 1);

@@ -7,6 +7,8 @@
 #include <glm/geometric.hpp>
 
 #include "core/conventions.h"
+#include "core/environment.h"
+#include "lighting/estimate.h"
 #include "lighting/reflections/cube_map.h"
 #include "lighting/reflections/ggx.h"
 
@@ -182,6 +184,51 @@ TEST(ReflectionMaps, WhatWasNotSeenShowsTheLightThere) {
   ReflectionFilter({.least = 0, .most = 0}).filter(map, confidence, light, out);
   EXPECT_NEAR(sample(out.levels[0], {0, 1, 0}).g, 1, 1e-5);
   EXPECT_NEAR(sample(out.levels[0], {0, -1, 0}).g, .5, 1e-5);
+}
+
+// A sun over stripes that are finer than a block of the map.
+Environment sun_over_stripes() {
+  Environment out;
+  out.radiance = Image<Rgb>(1024, 512);
+  for (int y = 0; y < 512; ++y)
+    for (int x = 0; x < 1024; ++x) {
+      const glm::dvec3 d = latlong_direction(x + .5, y + .5, 1024, 512);
+      const bool sun = glm::dot(d, glm::normalize(glm::dvec3(1, 1, -1))) > std::cos(.01);
+      const float stripe = x / 2 % 2 == 0 ? .5f : 1.5f;
+      out.radiance.at(x, y) = sun ? Rgb{9000, 9000, 9000} : Rgb{stripe, stripe, stripe};
+    }
+  return out;
+}
+
+TEST(ReflectionMaps, LightThatIsReadInBlocksIsMirroredByPixels) {
+  for (const int step : {1, kMapBlock}) {
+    LightEstimator estimator({.bands = 3, .filter = false, .map_step = step});
+    estimator.mirror({.least = 0, .most = 0});
+    const auto light = estimator.estimate(sun_over_stripes());
+    ASSERT_TRUE(light);
+    ASSERT_TRUE(light->reflections);
+    float dark = 10, bright = 0;
+    for (int x = 500; x < 520; ++x) {
+      const Rgb c = sample(light->reflections->levels[0],
+                           glm::vec3(latlong_direction(x + .5, 256.5, 1024, 512)));
+      dark = std::min(dark, c.g), bright = std::max(bright, c.g);
+    }
+    EXPECT_LT(dark, .8f) << step;
+    EXPECT_GT(bright, 1.2f) << step;
+  }
+}
+
+TEST(ReflectionMaps, WhatIsMirroredApartIsNotInThem) {
+  for (const int step : {1, kMapBlock}) {
+    LightEstimator estimator({.bands = 3, .filter = false, .map_step = step});
+    estimator.mirror({.least = 0, .most = .5f});
+    const auto light = estimator.estimate(sun_over_stripes());
+    ASSERT_TRUE(light);
+    ASSERT_EQ(lights_apart(light->lights).size(), 1U) << step;
+    for (const CubeMap& level : light->reflections->levels)
+      for (const Image<Rgb>& face : level.faces)
+        for (const Rgb& p : face.pixels()) EXPECT_LT(p.g, 20) << step;
+  }
 }
 
 }  // namespace

@@ -5,7 +5,7 @@
 
 #include <string>
 
-#include "tools/farm/child_program.h"
+#include "tools/common/child_program.h"
 
 namespace penumbra::tools {
 namespace {

@@ -9,7 +9,7 @@
 
 #include "core/io/files.h"
 #include "core/io/log.h"
-#include "tools/farm/child_program.h"
+#include "tools/common/child_program.h"
 
 namespace penumbra::tools {
 

@@ -7,31 +7,6 @@
 
 namespace penumbra::prt::gltf {
 
-namespace {
-
-// IEC 61966-2-1, of 8-bit codes.
-const std::array<float, 256>& linear_of_srgb() {
-  static const std::array<float, 256> table = [] {
-    std::array<float, 256> out{};
-    for (std::size_t i = 0; i < 256; ++i) {
-      const float v = static_cast<float>(i) / 255;
-      out[i] = v <= .04045f ? v / 12.92f : std::pow((v + .055f) / 1.055f, 2.4f);
-    }
-    return out;
-  }();
-  return table;
-}
-
-int wrapped(float t, int size, Texture::Wrap wrap) {
-  if (!std::isfinite(t)) t = 0;
-  float inside = t - std::floor(t);
-  if (wrap == Texture::Wrap::kClamp) inside = std::clamp(t, 0.f, 1.f);
-  if (wrap == Texture::Wrap::kMirror && std::fmod(std::floor(t), 2.f) != 0) inside = 1 - inside;
-  return std::clamp(static_cast<int>(inside * static_cast<float>(size)), 0, size - 1);
-}
-
-}  // namespace
-
 const Image<Rgb>& MeanColours::reduced(const Texture& texture, TexelCodes codes,
                                        std::size_t vertices) {
   const Image<Rgba8>& in = texture.picture->codes;
@@ -66,8 +41,8 @@ Rgb MeanColours::sample(const Texture& texture, TexelCodes codes,
   const Image<Rgb>& image = reduced(texture, codes, vertices);
   const glm::vec2& uv = coordinates[static_cast<std::size_t>(texture.set)];
   const glm::vec2 place = texture.transform * glm::vec3(uv.x, uv.y, 1);
-  return image.at(wrapped(place.x, image.width(), texture.wrap_s),
-                  wrapped(place.y, image.height(), texture.wrap_t));
+  return image.at(texel_at(place.x, image.width(), texture.wrap_s),
+                  texel_at(place.y, image.height(), texture.wrap_t));
 }
 
 Rgb MeanColours::albedo(const Material& material, const std::array<glm::vec2, 2>& coordinates,

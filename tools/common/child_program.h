@@ -2,6 +2,7 @@
 // threads: reentrant
 #pragma once
 
+#include <filesystem>
 #include <string>
 #include <string_view>
 #include <vector>
@@ -17,8 +18,10 @@ struct ChildAnswer {
 };
 
 /// Runs `command` (the program by name or path, then its arguments) without a shell, with `input`
-/// on its standard input, and waits for it.
-/// errors: kUnavailable (not installed, no memory)
-Result<ChildAnswer> run_child(const std::vector<std::string>& command, std::string_view input = {});
+/// on its standard input, and waits for it. Its output goes into `output_file`, whole, if one is
+/// named.
+/// errors: kUnavailable (not installed, no memory), kUnwritable (the file's folder is not there)
+Result<ChildAnswer> run_child(const std::vector<std::string>& command, std::string_view input = {},
+                              const std::filesystem::path& output_file = {});
 
 }  // namespace penumbra::tools

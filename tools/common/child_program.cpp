@@ -1,5 +1,6 @@
-#include "tools/farm/child_program.h"
+#include "tools/common/child_program.h"
 
+#include <fcntl.h>
 #include <spawn.h>
 #include <sys/mman.h>
 #include <sys/wait.h>
@@ -61,6 +62,10 @@ class ChildFiles {
   void put(const ChildStream& stream, int as) {
     ::posix_spawn_file_actions_adddup2(&actions_, stream.fd(), as);
   }
+  void make(const std::filesystem::path& file, int as) {
+    ::posix_spawn_file_actions_addopen(&actions_, as, file.c_str(), O_WRONLY | O_CREAT | O_TRUNC,
+                                       0666);
+  }
   const posix_spawn_file_actions_t* get() const { return &actions_; }
 
  private:
@@ -69,13 +74,17 @@ class ChildFiles {
 
 }  // namespace
 
-Result<ChildAnswer> run_child(const std::vector<std::string>& command, std::string_view input) {
+Result<ChildAnswer> run_child(const std::vector<std::string>& command, std::string_view input,
+                              const std::filesystem::path& output_file) {
   const ChildStream in("input"), out("output"), errors("errors");
   if (in.fd() < 0 || out.fd() < 0 || errors.fd() < 0 || !in.fill(input))
     return fail(ErrorCode::kUnavailable, command[0], std::strerror(errno));
   ChildFiles files;
   files.put(in, STDIN_FILENO);
-  files.put(out, STDOUT_FILENO);
+  if (output_file.empty())
+    files.put(out, STDOUT_FILENO);
+  else
+    files.make(output_file, STDOUT_FILENO);
   files.put(errors, STDERR_FILENO);
   std::vector<char*> arguments;
   for (const std::string& word : command) arguments.push_back(const_cast<char*>(word.c_str()));
@@ -83,6 +92,11 @@ Result<ChildAnswer> run_child(const std::vector<std::string>& command, std::stri
   pid_t child = 0;
   const int error =
       ::posix_spawnp(&child, arguments[0], files.get(), nullptr, arguments.data(), environ);
+  // ENOENT is also what a missing folder of the output says.
+  std::error_code ignored;
+  const auto folder = output_file.has_parent_path() ? output_file.parent_path() : ".";
+  if (error != 0 && !output_file.empty() && !std::filesystem::is_directory(folder, ignored))
+    return fail(ErrorCode::kUnwritable, output_file.string(), "no such folder");
   if (error == ENOENT) return fail(ErrorCode::kUnavailable, command[0], "is not installed");
   if (error != 0) return fail(ErrorCode::kUnavailable, command[0], std::strerror(error));
   int status = 0;
