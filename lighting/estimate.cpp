@@ -229,8 +229,8 @@ void LightEstimator::cut_out(const DistantLight& light, Image<Rgb>& map) const {
   }
 }
 
-// Lights that are mirrored apart are cut down to what surrounds them, as the residual is. The map is
-// the whole one also where light is read in blocks: a mirror shows each pixel.
+// Lights that are mirrored apart are cut down to what surrounds them, as the residual is. The map
+// is the whole one also where light is read in blocks: a mirror shows each pixel.
 void LightEstimator::find_reflections(const Environment& whole_map, bool split,
                                       LightEstimate& out) {
   if (!mirror_) return;

@@ -95,8 +95,8 @@ glm::vec4 open_point(const glm::vec3& n) {
   return {.282095f, .325735f * n};
 }
 
-// The same of what lets light in at a vertex: its transfer without what came by reflection, and what
-// the floor takes, which a mirror shows.
+// The same of what lets light in at a vertex: its transfer without what came by reflection, and
+// what the floor takes, which a mirror shows.
 std::vector<glm::vec4> openness_of(const prt::BakedObject& baked) {
   const prt::Transfer &all = baked.transfer, &reflected = baked.reflected;
   const auto holds = [](const prt::Transfer& t, std::size_t i) {

@@ -57,12 +57,7 @@ void use(const prt::BakedObject& o) {
 // libFuzzer's entry point, by its own name and types.
 extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {
   std::vector<unsigned char> bytes(data, data + size);
-  if (size % 2 == 0) {
-    bytes = whole_file();
-    for (std::size_t i = 0; i + 3 < size; i += 4)
-      bytes[(data[i] | std::size_t{data[i + 1]} << 8 | std::size_t{data[i + 2]} << 16) %
-            bytes.size()] = data[i + 3];
-  }
+  if (size % 2 == 0) bytes = test::edited(whole_file(), data, size);
   if (const auto read = prt::read_baked(test::as_file(bytes, ".glb"))) use(*read);
   return 0;
 }

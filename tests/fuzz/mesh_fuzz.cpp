@@ -80,12 +80,7 @@ void check(const prt::Import& import) {
 // libFuzzer's entry point, by its own name and types.
 extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {
   std::vector<unsigned char> bytes(data, data + size);
-  if (size % 2 == 0) {
-    bytes = whole_file();
-    for (std::size_t i = 0; i + 3 < size; i += 4)
-      bytes[(data[i] | std::size_t{data[i + 1]} << 8 | std::size_t{data[i + 2]} << 16) %
-            bytes.size()] = data[i + 3];
-  }
+  if (size % 2 == 0) bytes = test::edited(whole_file(), data, size);
   // A folder that holds no files to be named.
   if (const auto import =
           prt::gltf::import_bytes(std::move(bytes), "/proc/self/task/mesh.glb", {.5f, .5f, .5f}))
