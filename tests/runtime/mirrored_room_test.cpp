@@ -1,5 +1,5 @@
-// The joined chain of materials: a file of glTF is read, baked, lit by what the studio's cameras film
-// and composited, and mirrors the room that it stands in.
+// The joined chain of materials: a file of glTF is read, baked, lit by what the studio films and
+// composited, and mirrors the room that it stands in.
 #include <gtest/gtest.h>
 
 #include <algorithm>
