@@ -217,8 +217,9 @@ void LightEstimator::mirror(const RoughnessRange& surfaces) {
 
 void LightEstimator::cut_out(const DistantLight& light, Image<Rgb>& map) const {
   const RowOverlay& residual = extraction_.residual;
-  const int width = map.width(), height = map.height(), step = height / residual.height();
-  const double reach = 2 * light.radius.value() + 2 * kPi / residual.height(),
+  const int width = map.width(), height = map.height(),
+            step = std::max(1, height / std::max(1, residual.height()));
+  const double reach = 2 * light.radius.value() + 2 * kPi * step / height,
                polar = std::acos(std::clamp(light.direction.y, -1., 1.));
   for (int y = 0; y < height; ++y) {
     if (std::abs(polar - kPi * (y + .5) / height) > reach) continue;
