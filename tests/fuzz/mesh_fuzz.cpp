@@ -10,6 +10,7 @@
 
 #include "prt/geometry/gltf/gltf.h"
 #include "prt/geometry/mesh.h"
+#include "tests/fuzz/file_input.h"
 
 namespace {
 

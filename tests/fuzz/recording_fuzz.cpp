@@ -1,6 +1,6 @@
 // A recording: its cameras and responses, its pictures and their labels.
 #include "capture/capture.h"
-#include "fuzz/file_input.h"
+#include "tests/fuzz/file_input.h"
 
 extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {
   using namespace penumbra;

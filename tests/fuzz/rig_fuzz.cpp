@@ -1,6 +1,6 @@
 // The service's configuration with its cameras, and the table of a tracker.
-#include "fuzz/file_input.h"
 #include "service/rig_config.h"
+#include "tests/fuzz/file_input.h"
 #include "tools/calibrate/tracker_file.h"
 
 extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {
