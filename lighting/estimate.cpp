@@ -210,7 +210,7 @@ std::vector<std::size_t> lights_apart(std::span<const DistantLight> lights) {
   return out;
 }
 
-void LightEstimator::mirror(const RoughnessRange& surfaces) {
+void LightEstimator::mirror(const SurfaceRoughness& surfaces) {
   mirror_.reset();
   if (!surfaces.empty()) mirror_.emplace(surfaces);
 }

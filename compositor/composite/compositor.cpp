@@ -82,6 +82,7 @@ CompositeStats Drawn::composite_into(FramePixels& frame) {
 struct Compositor::Impl {
   explicit Impl(int oversampling) : receivers(oversampling) {}
   Result<void> check(const View& view, const FramePixels& frame) const;
+  void mirror_floor();
   Result<Rect> draw(const View& view);
   Result<CompositeStats> composite_while_drawing(const View& view, const FramePixels& camera,
                                                  FramePixels& out);
@@ -93,6 +94,7 @@ struct Compositor::Impl {
   std::unique_ptr<GlTexture> picture;
   Receivers receivers;
   std::vector<int> receiver_of;  // by object, -1 without
+  int mirrored_changes = -1;     // of the receivers, that mirrors show
   CommonLayer objects, hidden;
   SensorPlanes planes;
 };
@@ -222,9 +224,21 @@ Result<void> Compositor::Impl::check(const View& view, const FramePixels& frame)
   return {};
 }
 
+// What stands on the floor sees its own shadow there.
+void Compositor::Impl::mirror_floor() {
+  if (receivers.changes() == mirrored_changes) return;
+  mirrored_changes = receivers.changes();
+  for (std::size_t i = 0; i < receiver_of.size(); ++i) {
+    const int object = static_cast<int>(i);
+    if (receiver_of[i] >= 0 && layers->mirrors(object))
+      layers->set_floor(object, receivers.ratios_on(receiver_of[i], Layers::kFloorTexels));
+  }
+}
+
 // The pixels that shadows can reach.
 Result<Rect> Compositor::Impl::draw(const View& view) {
   context->make_current();
+  mirror_floor();
   const Rect receiver_area = receivers.prepare(view);
   PENUMBRA_TRY(layers->draw(view, receiver_area, objects, hidden));
   return receiver_area;
@@ -236,6 +250,7 @@ Result<CompositeStats> Compositor::Impl::composite_while_drawing(const View& vie
                                                                  const FramePixels& camera,
                                                                  FramePixels& out) {
   context->make_current();
+  mirror_floor();
   const Rect area = receivers.prepare(view);
   const Layer room{layers->reach_of_objects(ViewProjection(view.camera, view.lens.get())), {}},
       nothing;

@@ -13,17 +13,17 @@
 
 #include "core/conventions.h"
 #include "lighting/reflections/ggx.h"
+#include "lighting/reflections/octahedral_map.h"
 
 namespace penumbra::compositor {
 
 namespace {
 
-using lighting::CubeMap;
 using lighting::ReflectionMap;
 
 // Units 0 to 2 are those of other programs' pictures and of a lens.
-constexpr int kFirstUnit = 3, kMaps = 5, kCubeUnit = kFirstUnit + kMaps,
-              kReflectedUnit = kCubeUnit + 1;
+constexpr int kFirstUnit = 3, kMaps = 5, kSurroundingsUnit = kFirstUnit + kMaps,
+              kReflectedUnit = kSurroundingsUnit + 1, kFloorUnit = kReflectedUnit + 1;
 
 // What stays with a vertex, and what turns with the form.
 struct VertexAttributes {
@@ -147,6 +147,26 @@ bool is_one_picture(const prt::Texture& a, const prt::Texture& b) {
          a.wrap_s == b.wrap_s && a.wrap_t == b.wrap_t && a.nearest == b.nearest;
 }
 
+// A mean of two levels would be seen where the roughness is a hundredth of a step off one.
+bool is_between_levels(float place) {
+  return std::abs(place - std::round(place)) > .01f;
+}
+
+// The picture with a texel more on each side, so that it is read across its folds.
+Image<Rgb> with_border(const Image<Rgb>& picture) {
+  const int size = picture.width();
+  Image<Rgb> out(size + 2, size + 2);
+  for (int y = 0; y < size + 2; ++y) {
+    const bool inside = y > 0 && y <= size;
+    if (inside) std::ranges::copy(picture.row(y - 1), out.row(y).begin() + 1);
+    for (int x = 0; x < size + 2; x += inside ? size + 1 : 1) {
+      const glm::ivec2 from = lighting::octahedral_texel(x - 1, y - 1, size);
+      out.at(x, y) = picture.at(from.x, from.y);
+    }
+  }
+  return out;
+}
+
 GLint uniform(GLuint program, const char* name) {
   return glGetUniformLocation(program, name);
 }
@@ -200,6 +220,14 @@ GlossyFeatures Glossy::features_of(const GlossyObject& o, const GlossyObject::Pa
   out.add(kEmissionMap, bool(m.emission_map));
   out.add(kClearcoat, m.clearcoat > 0);
   out.add(kLights, !surroundings_.lights.empty());
+  if (shown_ && shown_->levels.size() > 1)
+    out.add(kBetweenLevels,
+            m.metallic_roughness_map || is_between_levels(shown_->place_of(m.roughness)) ||
+                is_between_levels(shown_->place_of(m.clearcoat_roughness)) ||
+                (lighting::has_long_lobe(m.roughness) &&
+                 is_between_levels(shown_->place_of(lighting::kNarrowLobe * m.roughness))));
+  out.add(kLongLobe, lighting::has_long_lobe(m.roughness));
+  out.add(kFloor, !o.floor_codes.empty());
   return out;
 }
 
@@ -218,10 +246,7 @@ Glossy::Glossy() {
   glTexParameteri(GL_TEXTURE_2D, GL_TEXTURE_MIN_FILTER, GL_LINEAR);
   for (const GLenum wrap : {GL_TEXTURE_WRAP_S, GL_TEXTURE_WRAP_T})
     glTexParameteri(GL_TEXTURE_2D, wrap, GL_CLAMP_TO_EDGE);
-  glBindTexture(GL_TEXTURE_CUBE_MAP, cube_.get());
-  glTexStorage2D(GL_TEXTURE_CUBE_MAP, ReflectionMap::kLevels, GL_RGB16F,
-                 ReflectionMap::kLargestFace, ReflectionMap::kLargestFace);
-  glTexParameteri(GL_TEXTURE_CUBE_MAP, GL_TEXTURE_MIN_FILTER, GL_LINEAR_MIPMAP_LINEAR);
+  lay_out_levels({});
 }
 
 void Glossy::upload(const prt::Texture& texture, bool srgb) {
@@ -260,14 +285,16 @@ GLuint Glossy::sampler_of(const prt::Texture& texture) {
 }
 
 GlossyObject Glossy::add(const prt::BakedObject& baked, const prt::Mesh& drawn,
-                         const EdgeMiddles& middles,
+                         const DrawnVertices& vertices,
                          std::vector<GlossyObject::Triangle>& triangles) {
   GlossyObject o;
-  auto surface = std::make_shared<prt::SurfaceMaterials>(*baked.surface);
-  surface->extend(middles);
+  if (baked.receiver) o.floor_grid = baked.receiver->grid;
+  auto surface = std::make_shared<prt::SurfaceMaterials>(vertices.fine() ? *vertices.fine()->surface
+                                                                         : *baked.surface);
+  surface->extend(vertices.middles());
   o.surface = std::move(surface);
   std::vector<glm::vec4> openness = openness_of(baked);
-  for (const auto& [a, b] : middles) openness.push_back(.5f * (openness[a] + openness[b]));
+  vertices.spread(openness);
   const auto material_of = [&](const GlossyObject::Triangle& t) {
     return static_cast<std::size_t>(o.surface->material[t[0]]);
   };
@@ -312,33 +339,100 @@ void Glossy::update_normals(GlossyObject& o, std::span<const glm::vec3> normals)
 }
 
 void Glossy::set_shares(GlossyObject& o, std::span<const std::array<float, 4>> shares,
-                        const EdgeMiddles& middles) {
+                        const DrawnVertices& vertices) {
+  std::vector<glm::vec4> all;
+  all.reserve(o.surface->material.size());
+  for (const auto& s : shares) all.emplace_back(s[0], s[1], s[2], s[3]);
+  vertices.spread(all);
   std::vector<std::array<std::uint8_t, 4>> codes(o.surface->material.size(), {255, 255, 255, 255});
-  const std::size_t own = codes.size() - middles.size();
-  for (std::size_t i = 0; i < std::min(shares.size(), own); ++i)
-    for (std::size_t k = 0; k < 4; ++k)
-      codes[i][k] =
-          static_cast<std::uint8_t>(std::lround(255 * std::clamp(shares[i][k], 0.f, 1.f)));
-  for (std::size_t i = 0; i < middles.size(); ++i)
-    for (std::size_t k = 0; k < 4; ++k)
-      codes[own + i][k] =
-          static_cast<std::uint8_t>((codes[middles[i][0]][k] + codes[middles[i][1]][k]) / 2);
+  for (std::size_t i = 0; i < std::min(all.size(), codes.size()); ++i)
+    for (int k = 0; k < 4; ++k)
+      codes[i][static_cast<std::size_t>(k)] =
+          static_cast<std::uint8_t>(std::lround(255 * std::clamp(all[i][k], 0.f, 1.f)));
   glBindBuffer(GL_ARRAY_BUFFER, o.shares.get());
   glBufferSubData(GL_ARRAY_BUFFER, 0, byte_count(codes), codes.data());
+}
+
+// In rows, the largest first, each as high as its first.
+void Glossy::lay_out_levels(std::span<const ReflectionMap::RoughnessLevel> levels) {
+  std::vector<int> sizes;
+  for (const ReflectionMap::RoughnessLevel& level : levels) sizes.push_back(level.picture.width());
+  if (sizes == level_sizes_ && !sizes.empty()) return;
+  level_sizes_ = sizes;
+  level_corners_.clear();
+  glm::ivec2 at(0), whole(1);
+  int row_height = 0;
+  for (const int size : sizes) {
+    const int side = size + 2;
+    if (row_height > 0 && at.x + side > 2 * (sizes.front() + 2)) at = {0, at.y + row_height};
+    if (at.x == 0) row_height = side;
+    level_corners_.push_back(at);
+    at.x += side;
+    whole = glm::max(whole, glm::ivec2(at.x, at.y + side));
+  }
+  tiles_.fill(glm::vec4(0));
+  for (std::size_t i = 0; i < sizes.size(); ++i)
+    tiles_[i] = glm::vec4(glm::vec2(level_corners_[i] + 1) / glm::vec2(whole),
+                          glm::vec2(sizes[i]) / glm::vec2(whole));
+  level_pictures_ = {};
+  glBindTexture(GL_TEXTURE_2D, level_pictures_.get());
+  glTexStorage2D(GL_TEXTURE_2D, 1, GL_RGB16F, whole.x, whole.y);
+  glTexParameteri(GL_TEXTURE_2D, GL_TEXTURE_MIN_FILTER, GL_LINEAR);
+  for (const GLenum wrap : {GL_TEXTURE_WRAP_S, GL_TEXTURE_WRAP_T})
+    glTexParameteri(GL_TEXTURE_2D, wrap, GL_CLAMP_TO_EDGE);
+  const Rgb dark{};
+  if (sizes.empty()) glTexSubImage2D(GL_TEXTURE_2D, 0, 0, 0, 1, 1, GL_RGB, GL_FLOAT, &dark);
 }
 
 void Glossy::set_surroundings(const Surroundings& surroundings) {
   surroundings_ = surroundings;
   if (!surroundings.reflections || surroundings.reflections == shown_) return;
   shown_ = surroundings.reflections;
-  glBindTexture(GL_TEXTURE_CUBE_MAP, cube_.get());
-  for (int level = 0; level < ReflectionMap::kLevels; ++level) {
-    const CubeMap& cube = shown_->levels[static_cast<std::size_t>(level)];
-    for (int face = 0; face < 6 && !cube.empty(); ++face)
-      glTexSubImage2D(GL_TEXTURE_CUBE_MAP_POSITIVE_X + static_cast<GLenum>(face), level, 0, 0,
-                      cube.size(), cube.size(), GL_RGB, GL_FLOAT,
-                      cube.faces[static_cast<std::size_t>(face)].pixels().data());
+  const auto count = std::min(shown_->levels.size(), ReflectionMap::kMaxLevels);
+  lay_out_levels(std::span(shown_->levels).first(count));
+  glBindTexture(GL_TEXTURE_2D, level_pictures_.get());
+  for (std::size_t i = 0; i < count; ++i) {
+    const Image<Rgb> bordered = with_border(shown_->levels[i].picture);
+    glTexSubImage2D(GL_TEXTURE_2D, 0, level_corners_[i].x, level_corners_[i].y, bordered.width(),
+                    bordered.height(), GL_RGB, GL_FLOAT, bordered.pixels().data());
   }
+}
+
+bool Glossy::set_floor(GlossyObject& o, const Image<Rgb>& ratios) {
+  std::vector<std::uint8_t> codes;
+  codes.reserve(3 * ratios.area());
+  for (const Rgb& s : ratios.pixels())
+    for (int c = 0; c < 3; ++c)
+      codes.push_back(static_cast<std::uint8_t>(std::lround(170 * std::clamp(s[c], 0.f, 1.5f))));
+  if (codes == o.floor_codes) return false;
+  glBindTexture(GL_TEXTURE_2D, o.floor.get());
+  if (o.floor_codes.empty()) {
+    int levels = 1;
+    while ((kFloorTexels >> levels) > 0) ++levels;
+    glTexStorage2D(GL_TEXTURE_2D, levels, GL_RGB8, kFloorTexels, kFloorTexels);
+    glTexParameteri(GL_TEXTURE_2D, GL_TEXTURE_MIN_FILTER, GL_LINEAR_MIPMAP_LINEAR);
+    for (const GLenum wrap : {GL_TEXTURE_WRAP_S, GL_TEXTURE_WRAP_T})
+      glTexParameteri(GL_TEXTURE_2D, wrap, GL_CLAMP_TO_EDGE);
+  }
+  o.floor_codes = std::move(codes);
+  glTexSubImage2D(GL_TEXTURE_2D, 0, 0, 0, kFloorTexels, kFloorTexels, GL_RGB, GL_UNSIGNED_BYTE,
+                  o.floor_codes.data());
+  glGenerateMipmap(GL_TEXTURE_2D);
+  return true;
+}
+
+void Glossy::set_mirrored_floor(GLuint program, const GlossyObject& o, const Pose& pose) {
+  if (o.floor_codes.empty()) return;
+  glActiveTexture(GL_TEXTURE0 + kFloorUnit);
+  glBindTexture(GL_TEXTURE_2D, o.floor.get());
+  glUniform1i(uniform(program, "floor_ratio"), kFloorUnit);
+  const Pose from_world = pose.inverse();
+  glm::mat4 grid_from_world(glm::mat3_cast(glm::quat(from_world.rotation)));
+  grid_from_world[3] = glm::vec4(glm::vec3(from_world.translation), 1);
+  glUniformMatrix4fv(uniform(program, "grid_from_world"), 1, GL_FALSE,
+                     glm::value_ptr(grid_from_world));
+  const prt::GroundGrid& g = *o.floor_grid;
+  glUniform4f(uniform(program, "grid"), g.centre.x, g.centre.y, g.half_extent, g.height);
 }
 
 void Glossy::bind(int unit, const prt::Texture& texture, bool srgb, GLuint program,
@@ -377,6 +471,13 @@ void Glossy::set_material(const prt::Material& m, GLuint program) {
   set(program, "clearcoat", m.clearcoat);
   set(program, "clearcoat_roughness", m.clearcoat_roughness);
   set(program, "transmission", m.transmission);
+  const auto level_of = [&](float roughness) {
+    const float place = shown_ ? shown_->place_of(roughness) : 0;
+    return is_between_levels(place) ? place : std::round(place);
+  };
+  set(program, "level", level_of(m.roughness));
+  set(program, "long_level", level_of(lighting::kNarrowLobe * m.roughness));
+  set(program, "clearcoat_level", level_of(m.clearcoat_roughness));
   set(program, "emission", m.emission);
   // Fresnel's reflectance at normal incidence, scaled and tinted by KHR_materials_specular.
   const float ratio = (m.ior - 1) / (m.ior + 1), normal = ratio * ratio;
@@ -393,11 +494,11 @@ void Glossy::set_scene(GLuint program, const Placed& placed) const {
   glUniformMatrix4fv(uniform(program, "world_from_object"), 1, GL_FALSE, glm::value_ptr(world));
   glUniform3f(uniform(program, "eye"), static_cast<float>(placed.eye.x),
               static_cast<float>(placed.eye.y), static_cast<float>(placed.eye.z));
-  set(program, "largest_level", shown_ ? static_cast<float>(ReflectionMap::kLevels - 1) : 0.f);
   set(program, "emission_unit", surroundings_.emission_unit);
-  glActiveTexture(GL_TEXTURE0 + kCubeUnit);
-  glBindTexture(GL_TEXTURE_CUBE_MAP, cube_.get());
-  glUniform1i(uniform(program, "surroundings"), kCubeUnit);
+  glActiveTexture(GL_TEXTURE0 + kSurroundingsUnit);
+  glBindTexture(GL_TEXTURE_2D, level_pictures_.get());
+  glUniform1i(uniform(program, "surroundings"), kSurroundingsUnit);
+  set_levels(program);
   glActiveTexture(GL_TEXTURE0 + kReflectedUnit);
   glBindTexture(GL_TEXTURE_2D, reflected_.get());
   glUniform1i(uniform(program, "reflected"), kReflectedUnit);
@@ -418,6 +519,18 @@ void Glossy::set_scene(GLuint program, const Placed& placed) const {
                glm::value_ptr(places[0]));
   glUniform3fv(uniform(program, "light_irradiances"), Surroundings::kMaxLights,
                glm::value_ptr(irradiances[0]));
+}
+
+void Glossy::set_levels(GLuint program) const {
+  constexpr auto kCount = static_cast<GLsizei>(ReflectionMap::kMaxLevels);
+  std::array<glm::vec2, ReflectionMap::kMaxLevels> steps{};
+  for (std::size_t i = 0; i + 1 < level_sizes_.size(); ++i) {
+    const float here = lighting::lobe_peak(shown_->levels[i].roughness);
+    steps[i] = {here, 1 / (here - lighting::lobe_peak(shown_->levels[i + 1].roughness))};
+  }
+  glUniform4fv(uniform(program, "tiles"), kCount, glm::value_ptr(tiles_[0]));
+  glUniform2fv(uniform(program, "levels"), kCount, glm::value_ptr(steps[0]));
+  glUniform1i(uniform(program, "level_count"), static_cast<GLint>(level_sizes_.size()));
 }
 
 // Farthest triangles first.
@@ -449,6 +562,7 @@ void Glossy::draw(const GlossyObject& o, const UseProgram& use, const Placed& pl
     const prt::Material& m = o.surface->materials[part.material];
     const GLuint program = use(features_of(o, part));
     set_scene(program, placed);
+    set_mirrored_floor(program, o, placed.world_from_object);
     set_material(m, program);
     if ((blended && !m.double_sided) || (placed.cull_backs && !o.shows_backs))
       glEnable(GL_CULL_FACE);

@@ -6,12 +6,16 @@
 #include <array>
 #include <cstdint>
 #include <functional>
+#include <glm/vec2.hpp>
+#include <glm/vec4.hpp>
 #include <map>
 #include <memory>
+#include <optional>
 #include <span>
 #include <utility>
 #include <vector>
 
+#include "compositor/layers/drawn_vertices.h"
 #include "compositor/layers/gl.h"
 #include "compositor/layers/glossy_program.h"
 #include "compositor/surroundings.h"
@@ -19,10 +23,9 @@
 #include "prt/bake/bake.h"
 #include "prt/geometry/material.h"
 #include "prt/geometry/mesh.h"
+#include "prt/geometry/receiver.h"
 
 namespace penumbra::compositor {
-
-using EdgeMiddles = std::vector<std::array<std::uint32_t, 2>>;
 
 /// What an object with materials has beyond its vertices and its light.
 struct GlossyObject {
@@ -35,6 +38,10 @@ struct GlossyObject {
   GlBuffer attributes{}, directions{}, shares{}, sorted{};
   std::vector<Part> parts{};
   bool shows_backs = false;  // of some part
+  // The floor that it mirrors.
+  std::optional<prt::GroundGrid> floor_grid{};
+  GlTexture floor{};
+  std::vector<std::uint8_t> floor_codes{};  // of shadow ratios over 1.5; none: not told
 
   bool is_blended(const Part& part) const;
   bool any(bool blended) const;
@@ -49,13 +56,18 @@ class Glossy {
   /// in:  triangles: of the mesh that GL draws; out: by material
   /// Adds its attributes to the vertex array that is bound.
   GlossyObject add(const prt::BakedObject& baked, const prt::Mesh& drawn,
-                   const EdgeMiddles& middles, std::vector<GlossyObject::Triangle>& triangles);
+                   const DrawnVertices& vertices, std::vector<GlossyObject::Triangle>& triangles);
   /// Of another form, whose vertices count as open.
   static void update_normals(GlossyObject& object, std::span<const glm::vec3> normals);
   /// Visible shares of Surroundings::lights, by vertex of the object's own; none: all open.
   static void set_shares(GlossyObject& object, std::span<const std::array<float, 4>> shares,
-                         const EdgeMiddles& middles);
+                         const DrawnVertices& vertices);
   void set_surroundings(const Surroundings& surroundings);
+  /// Shadow ratios on the floor that it stands on.
+  /// in:  of kFloorTexels a side, on the grid of the object's receiver
+  /// out: whether it looks different now
+  static constexpr int kFloorTexels = 64;
+  static bool set_floor(GlossyObject& object, const Image<Rgb>& ratios);
 
   GlossyFeatures features_of(const GlossyObject& object, const GlossyObject::Part& part) const;
 
@@ -83,6 +95,9 @@ class Glossy {
     std::shared_ptr<const prt::TexturePicture> picture;
     GlTexture texture{};
   };
+  void lay_out_levels(std::span<const lighting::ReflectionMap::RoughnessLevel> levels);
+  void set_levels(GLuint program) const;
+  static void set_mirrored_floor(GLuint program, const GlossyObject& object, const Pose& pose);
   void upload(const prt::Texture& texture, bool srgb);
   void bind(int unit, const prt::Texture& texture, bool srgb, GLuint program, const char* name);
   GLuint sampler_of(const prt::Texture& texture);
@@ -94,8 +109,12 @@ class Glossy {
   std::map<PictureKey, HeldPicture> pictures_;
   std::map<std::uint32_t, GlSampler> samplers_;
   bool in_software_ = false;  // llvmpipe, softpipe
-  GlTexture cube_{}, reflected_{}, white_{};
+  GlTexture level_pictures_{}, reflected_{}, white_{};
   std::shared_ptr<const lighting::ReflectionMap> shown_{};
+  // Of the levels' pictures within level_pictures_.
+  std::vector<int> level_sizes_;  // texels a side
+  std::vector<glm::ivec2> level_corners_;
+  std::array<glm::vec4, lighting::ReflectionMap::kMaxLevels> tiles_{};
   Surroundings surroundings_;
   std::vector<GlossyObject::Triangle> order_;  // scratch
 };

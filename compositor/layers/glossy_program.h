@@ -25,6 +25,9 @@ class GlossyFeatures {
     kLights,
     kOcclusionInRoughness,  // one picture for both
     kAlpha,                 // that of the base colour counts
+    kBetweenLevels,         // what is mirrored is mixed from two levels
+    kLongLobe,              // seen slantwise its lobe is longer than wide
+    kFloor,                 // the shadows on the floor are mirrored
     kFeatures
   };
   void add(Feature feature, bool wanted) {
@@ -39,19 +42,15 @@ class GlossyFeatures {
 
 /// in: cut: whether is_shown() may say no
 inline std::string glossy_defines(const GlossyFeatures& features, bool cut) {
-  constexpr const char* kNames[GlossyFeatures::kFeatures] = {"BASE_COLOUR_MAP",
-                                                             "METALLIC_ROUGHNESS_MAP",
-                                                             "NORMAL_MAP",
-                                                             "OCCLUSION_MAP",
-                                                             "EMISSION_MAP",
-                                                             "MASK",
-                                                             "BLEND",
-                                                             "DOUBLE_SIDED",
-                                                             "UNLIT",
-                                                             "CLEARCOAT",
-                                                             "LIGHTS",
-                                                             "OCCLUSION_IN_ROUGHNESS",
-                                                             "ALPHA"};
+  constexpr const char* kNames[GlossyFeatures::kFeatures] = {
+      "BASE_COLOUR_MAP", "METALLIC_ROUGHNESS_MAP",
+      "NORMAL_MAP",      "OCCLUSION_MAP",
+      "EMISSION_MAP",    "MASK",
+      "BLEND",           "DOUBLE_SIDED",
+      "UNLIT",           "CLEARCOAT",
+      "LIGHTS",          "OCCLUSION_IN_ROUGHNESS",
+      "ALPHA",           "BETWEEN_LEVELS",
+      "LONG_LOBE",       "FLOOR"};
   std::string out = cut ? "#define CUT\n" : "";
   for (std::uint32_t i = 0; i < GlossyFeatures::kFeatures; ++i)
     if (features.has(static_cast<GlossyFeatures::Feature>(i)))
@@ -92,7 +91,7 @@ inline constexpr const char* kGlossyFragment = R"(
 centroid in vec3 light, at, up;
 centroid in vec3 tint;
 centroid in vec4 along, place, shares, openness;
-uniform float signal_per_radiance, emission_unit, largest_level;
+uniform float signal_per_radiance, emission_unit;
 uniform vec3 eye;
 uniform vec4 base_colour;
 uniform float metallic, roughness, normal_scale, occlusion_strength, alpha_cutoff;
@@ -102,7 +101,14 @@ uniform float grazing_reflectance;
 uniform mat3x2 transforms[5];
 uniform int sets[5];
 uniform sampler2D base_colour_map, metallic_roughness_map, normal_map, occlusion_map, emission_map;
-uniform highp samplerCube surroundings;
+// One octahedral picture for each roughness, beside each other: tiles hold their first texel's
+// corner and their size, in the whole's.
+uniform highp sampler2D surroundings;
+const int kMaxLevels = 12;
+uniform vec4 tiles[12];
+uniform vec2 levels[12];  // lobe_peak() of the roughness, 1/(step to the next)
+uniform int level_count;
+uniform float level, long_level, clearcoat_level;
 uniform sampler2D reflected;
 uniform vec3 irradiance_sh[9];
 const int kMaxLights = 4;
@@ -155,9 +161,77 @@ float open_share(vec3 r, vec3 plain) {
   float open = (1.0 + 2.0 * max(dot(plain, r), 0.0)) / (4.0 * 3.14159265);
   return clamp(here / open, 0.0, 1.0);
 }
-vec3 surroundings_towards(vec3 r, float rough) {
-  return textureLod(surroundings, r, rough * largest_level).rgb;
+// As lighting::ReflectionMap::place_of.
+float level_of(float rough) {
+  float alpha = max(rough * rough, 0.003), peak = 1.0 / (alpha * alpha), at = 0.0;
+  for (int i = 0; i + 1 < level_count; ++i)
+    at += clamp((levels[i].x - peak) * levels[i].y, 0.0, 1.0);
+  return at;
 }
+// As lighting::octahedral_place.
+vec2 octahedral(vec3 d) {
+  vec2 p = d.xz / (abs(d.x) + abs(d.y) + abs(d.z));
+  if (d.y < 0.0) p = (1.0 - abs(p.yx)) * vec2(p.x < 0.0 ? -1.0 : 1.0, p.y < 0.0 ? -1.0 : 1.0);
+  return 0.5 * p + 0.5;
+}
+vec3 on_level(vec2 at, int i) {
+  return textureLod(surroundings, tiles[i].xy + at * tiles[i].zw, 0.0).rgb;
+}
+#ifdef FLOOR
+// What is left of the light on the floor around the object, on a prt::GroundGrid.
+uniform sampler2D floor_ratio;
+uniform mat4 grid_from_world;
+uniform vec4 grid;  // x and z of its centre, half its side, its height
+vec3 floor_towards(vec3 towards, float alpha) {
+  const float stretch = 3.0, texels = 64.0;
+  vec3 from = (grid_from_world * vec4(at, 1)).xyz, r = mat3(grid_from_world) * towards;
+  float spread = 1.3 * alpha + 0.01;  // tangent of half the lobe
+  float below = clamp(0.5 - 0.5 * r.y / spread, 0.0, 1.0);
+  float far = max(from.y - grid.w, 0.0) / max(-r.y, 0.5 * spread);
+  vec2 p = (from.xz + far * r.xz - grid.xy) / grid.z;
+  vec2 side = 1.0 + stretch * abs(p);
+  // Metres from one texel to the next, the larger.
+  float texel = 2.0 * grid.z / texels * max(side.x * side.x, side.y * side.y) / (1.0 + stretch);
+  vec3 ratio = textureLod(floor_ratio, 0.5 + 0.5 * (1.0 + stretch) * p / side,
+                          log2(max(2.0 * spread * far / texel, 1.0))).rgb;
+  return mix(vec3(1), 1.5 * ratio, below);
+}
+#endif
+// The mean over the lobe around a direction, seen along the normal.
+vec3 surroundings_towards(vec3 r, float place, float alpha) {
+  vec2 at_place = octahedral(r);
+#ifdef BETWEEN_LEVELS
+  int i = clamp(int(place), 0, level_count - 2);
+  vec3 seen = mix(on_level(at_place, i), on_level(at_place, i + 1), place - float(i));
+#else
+  vec3 seen = on_level(at_place, int(place));
+#endif
+#ifdef FLOOR
+  seen *= floor_towards(r, alpha);
+#endif
+  return seen;
+}
+#ifdef LONG_LOBE
+// Facets that lean towards the viewer, or away, by some angle turn what is mirrored by twice that,
+// those that lean aside by n.v of it: a lobe of .6 of the width stands for what they do, from two
+// places of the plane of incidence.
+vec3 along_lobe(vec3 n, vec3 v, float n_dot_v, float alpha, float place, vec3 otherwise) {
+  const float narrow = 0.6, lean = 0.462;  // sqrt(1 - narrow^2), half of a lobe to each side
+  vec3 t = normalize(v - n * n_dot_v), sum = vec3(0);
+  float weights = 0.0, a2 = alpha * alpha;
+  for (float side = -1.0; side < 2.0; side += 2.0) {
+    vec3 h = normalize(n + side * lean * alpha * t);
+    float v_dot_h = dot(v, h);
+    vec3 l = 2.0 * v_dot_h * h - v;
+    float n_dot_l = dot(n, l);
+    if (v_dot_h <= 0.0 || n_dot_l <= 0.0) continue;
+    float weight = visibility(a2, n_dot_l, n_dot_v) * n_dot_l * v_dot_h / dot(n, h);
+    sum += weight * surroundings_towards(l, place, narrow * alpha);
+    weights += weight;
+  }
+  return weights > 0.0 ? sum / weights : otherwise;
+}
+#endif
 
 void main() {
 #ifdef CUT
@@ -177,11 +251,15 @@ void main() {
 #ifdef UNLIT
   colour = vec4(min(signal_per_radiance * emission_unit * base.rgb, 1000.0) * base.a, base.a);
 #else
-  float metal = metallic, rough = roughness;
+  float metal = metallic, rough = roughness, at_level = level, at_long_level = long_level;
 #ifdef METALLIC_ROUGHNESS_MAP
   vec4 t = texture(metallic_roughness_map, place_of(1));
   rough *= t.g;
   metal *= t.b;
+  at_level = level_of(rough);
+#ifdef LONG_LOBE
+  at_long_level = level_of(0.7746 * rough);
+#endif
 #endif
   vec3 plain = normalize(up), n = plain, diffuse_light = light;
   float occlusion = 1.0;
@@ -217,9 +295,15 @@ void main() {
   seen *= above * above;
 #endif
   vec3 own = base.rgb * diffuse_light;  // what it sees of itself is lit like it
-  vec3 shown = share * mix(own, surroundings_towards(r, rough), seen);
-#ifdef LIGHTS
   float alpha = max(rough * rough, 1e-3);
+  vec3 around = surroundings_towards(r, at_level, alpha);
+#ifdef LONG_LOBE
+  float slant = 1.0 - smoothstep(0.55, 0.9, n_dot_v);
+  if (slant > 0.0)
+    around = mix(around, along_lobe(n, v, n_dot_v, alpha, at_long_level, around), slant);
+#endif
+  vec3 shown = share * mix(own, around, seen);
+#ifdef LIGHTS
   shown += again * mirrored_lights(n, v, n_dot_v, alpha, f0, f90);
 #endif
   vec3 diffuse = own * (1.0 - metal) * (1.0 - share);
@@ -232,9 +316,10 @@ void main() {
 #ifdef CLEARCOAT
   vec2 coat_even = reflected_of_even(n_dot_v, clearcoat_roughness);
   float coat = clearcoat * (0.04 * coat_even.x + coat_even.y);
-  shown = shown * (1.0 - coat) + coat * seen * surroundings_towards(r, clearcoat_roughness);
-#ifdef LIGHTS
   float coat_alpha = max(clearcoat_roughness * clearcoat_roughness, 1e-3);
+  shown = shown * (1.0 - coat) +
+          coat * seen * surroundings_towards(r, clearcoat_level, coat_alpha);
+#ifdef LIGHTS
   shown += clearcoat * mirrored_lights(n, v, n_dot_v, coat_alpha, vec3(0.04), 1.0);
 #endif
 #endif

@@ -76,6 +76,9 @@ GlTexture albedo_texture(const Image<Rgb8>& picture) {
   return texture;
 }
 
+// Of more, four samples a pixel are drawn sooner than the contour is found.
+constexpr std::size_t kMaxContourTriangles = 200'000;
+
 }  // namespace
 
 Result<Layers> Layers::create(int width, int height, int oversampling) {
@@ -89,7 +92,7 @@ void Layers::upload_coordinates(const DrawnObject& o, GLuint buffer, GLuint loca
   if (coordinates.empty()) return;  // the attribute stays one constant place
   std::vector<glm::vec2> all(coordinates.begin(), coordinates.end());
   all.resize(o.albedo.size());  // points of a light map have none
-  extend(all, o.middles);
+  o.drawn_vertices.extend(all);
   glBindBuffer(GL_ARRAY_BUFFER, buffer);
   glBufferData(GL_ARRAY_BUFFER, bytes_of(all), all.data(), GL_STATIC_DRAW);
   attribute(location, 2, 0);
@@ -121,7 +124,7 @@ void Layers::add_pictures(DrawnObject& o, const prt::BakedObject& baked,
   // Light comes from the map; vertices tint it where a picture gives the albedo.
   o.colours.assign(baked.mesh.positions.size(), Rgb{1, 1, 1});
   if (appearance.texture) std::ranges::copy(appearance.tint, o.colours.begin());
-  extend(o.colours, o.middles);
+  o.drawn_vertices.extend(o.colours);
   glBindBuffer(GL_ARRAY_BUFFER, o.light.get());
   glBufferSubData(GL_ARRAY_BUFFER, 0, bytes_of(o.colours), o.colours.data());
   o.light_map = std::move(map);
@@ -146,18 +149,18 @@ void Layers::use_lens(const ViewLens& lens) {
   max_edge_m_ = std::min(max_edge_m_, lens.max_edge_m());
 }
 
-Layers::Middles Layers::refine(prt::Mesh& mesh) const {
+EdgeMiddles Layers::refine(prt::Mesh& mesh) const {
   constexpr std::size_t kMaxTriangles = 150'000;
   if (!std::isfinite(max_edge_m_)) return {};
   return prt::subdivide(mesh, static_cast<float>(max_edge_m_), kMaxTriangles);
 }
 
 int Layers::add_object(const prt::BakedObject& baked, const Appearance& appearance) {
-  const prt::Bounds bounds = bounds_of(baked.mesh);
   const bool pictures = appearance.texture || !appearance.texels.empty();
-  prt::Mesh mesh = baked.mesh;
-  Middles middles = refine(mesh);
-  DrawnObject o{.middles = std::move(middles),
+  prt::Mesh mesh = baked.fine ? baked.fine->mesh : baked.mesh;
+  const prt::Bounds bounds = bounds_of(mesh);
+  DrawnVertices vertices(baked.fine, refine(mesh));
+  DrawnObject o{.drawn_vertices = std::move(vertices),
                 .triangles = mesh.triangles,
                 .closed = is_closed(mesh),
                 .albedo = baked.mesh.albedo,
@@ -165,7 +168,8 @@ int Layers::add_object(const prt::BakedObject& baked, const Appearance& appearan
                 .stride = baked.transfer.stride,
                 .bounds = bounds,
                 .area_m2 = area_m2(mesh)};
-  if (!fine_ && !pictures && !baked.surface) o.contour.emplace(mesh);
+  const bool smooth = !fine_ && mesh.triangles.size() <= kMaxContourTriangles;
+  if (smooth && !pictures && !baked.surface) o.contour.emplace(mesh);
   if (o.contour || baked.surface) o.positions = mesh.positions;
   glBindVertexArray(o.geometry.get());
   glBindBuffer(GL_ARRAY_BUFFER, o.vertices.get());
@@ -177,10 +181,12 @@ int Layers::add_object(const prt::BakedObject& baked, const Appearance& appearan
   if (baked.surface) {
     if (!glossy_) glossy_.emplace();
     if (surroundings_) glossy_->set_surroundings(*surroundings_);
-    o.glossy = glossy_->add(baked, mesh, o.middles, o.triangles);
+    o.glossy = glossy_->add(baked, mesh, o.drawn_vertices, o.triangles);
     o.albedo.assign(baked.mesh.positions.size(), Rgb{1, 1, 1});
     mesh.triangles = o.triangles;
-    if (!fine_ && !o.glossy->shows_backs) o.contour.emplace(mesh);  // all edges are triangles'
+    if (smooth && !o.glossy->shows_backs) o.contour.emplace(mesh);  // all edges are triangles'
+  } else if (baked.fine) {
+    o.fine_albedo = mesh.albedo;
   }
   glBindBuffer(GL_ELEMENT_ARRAY_BUFFER, o.indices.get());
   glBufferData(GL_ELEMENT_ARRAY_BUFFER, bytes_of(o.triangles), o.triangles.data(), GL_STATIC_DRAW);
@@ -195,17 +201,17 @@ int Layers::add_object(const prt::BakedObject& baked, const Appearance& appearan
 void Layers::update_vertices(int object, const prt::Mesh& mesh) {
   DrawnObject& o = objects_[static_cast<std::size_t>(object)];
   o.bounds = bounds_of(mesh);
-  const bool keeps = o.contour || o.glossy || !o.middles.empty();
+  const bool keeps = o.contour || o.glossy || !o.drawn_vertices.are_own();
   if (keeps) {
     o.positions = mesh.positions;
-    extend(o.positions, o.middles);
+    o.drawn_vertices.extend(o.positions);
   }
   const std::vector<glm::vec3>& positions = keeps ? o.positions : mesh.positions;
   glBindBuffer(GL_ARRAY_BUFFER, o.vertices.get());
   glBufferSubData(GL_ARRAY_BUFFER, 0, bytes_of(positions), positions.data());
   if (o.glossy) {
     std::vector<glm::vec3> normals = mesh.normals;
-    extend(normals, o.middles);
+    o.drawn_vertices.extend(normals);
     Glossy::update_normals(*o.glossy, normals);
   }
   o.changed = true;
@@ -232,6 +238,7 @@ void Layers::set_light(int object, std::span<const float> relit) {
     o.changed = true;
     return;
   }
+  if (o.drawn_vertices.fine()) return set_fine_light(o, relit);
   bool changed = false;
   const std::size_t own = o.albedo.size(), all = o.colours.size();
   for (std::size_t i = 0; i < own; ++i) {
@@ -243,8 +250,24 @@ void Layers::set_light(int object, std::span<const float> relit) {
   if (!changed) return;  // a shadow moved, or a neighbour
   if (all > own) {
     o.colours.resize(own);
-    extend(o.colours, o.middles);
+    o.drawn_vertices.extend(o.colours);
   }
+  glBindBuffer(GL_ARRAY_BUFFER, o.light.get());
+  glBufferSubData(GL_ARRAY_BUFFER, 0, bytes_of(o.colours), o.colours.data());
+  o.changed = true;
+}
+
+void Layers::set_fine_light(DrawnObject& o, std::span<const float> relit) {
+  std::vector<Rgb> lit(o.albedo.size());
+  for (std::size_t i = 0; i < lit.size(); ++i)
+    lit[i] = {std::max(relit[i], 0.f), std::max(relit[o.stride + i], 0.f),
+              std::max(relit[2 * o.stride + i], 0.f)};
+  if (lit == o.lit) return;
+  o.lit = std::move(lit);
+  o.colours = o.lit;
+  o.drawn_vertices.spread(o.colours);
+  for (std::size_t i = 0; i < o.fine_albedo.size(); ++i)
+    o.colours[i] = o.fine_albedo[i] * o.colours[i];
   glBindBuffer(GL_ARRAY_BUFFER, o.light.get());
   glBufferSubData(GL_ARRAY_BUFFER, 0, bytes_of(o.colours), o.colours.data());
   o.changed = true;
@@ -271,9 +294,9 @@ Layers::Occluder Layers::upload(const prt::Mesh& mesh) {
 
 int Layers::add_occluder(const prt::Mesh& mesh) {
   prt::Mesh fine = mesh;
-  Middles middles = refine(fine);
+  DrawnVertices vertices(nullptr, refine(fine));
   occluders_.push_back(upload(fine));
-  occluder_meshes_.push_back({std::move(middles), mesh.positions, mesh.triangles, {}});
+  occluder_meshes_.push_back({std::move(vertices), mesh.positions, mesh.triangles, {}});
   drawn_.reset();
   return static_cast<int>(occluders_.size()) - 1;
 }
@@ -282,7 +305,7 @@ void Layers::set_ratios(int occluder, std::span<const Rgb> ratios) {
   const auto index = static_cast<std::size_t>(occluder);
   std::vector<Rgb> deficits;
   for (const Rgb& s : ratios) deficits.push_back({1 - s.r, 1 - s.g, 1 - s.b});
-  extend(deficits, occluder_meshes_[index].middles);
+  occluder_meshes_[index].drawn_vertices.extend(deficits);
   glBindBuffer(GL_ARRAY_BUFFER, occluders_[index].deficits.get());
   glBufferSubData(GL_ARRAY_BUFFER, 0, bytes_of(deficits), deficits.data());
   OccluderMesh& mesh = occluder_meshes_[index];
@@ -382,8 +405,13 @@ void Layers::set_surroundings(const Surroundings& surroundings) {
 void Layers::set_light_shares(int object, std::span<const std::array<float, 4>> shares) {
   DrawnObject& o = objects_[static_cast<std::size_t>(object)];
   if (!o.glossy) return;
-  Glossy::set_shares(*o.glossy, shares, o.middles);
+  Glossy::set_shares(*o.glossy, shares, o.drawn_vertices);
   o.changed = true;
+}
+
+void Layers::set_floor(int object, const Image<Rgb>& ratios) {
+  DrawnObject& o = objects_[static_cast<std::size_t>(object)];
+  if (Glossy::set_floor(*o.glossy, ratios)) o.changed = true;
 }
 
 GLuint Layers::use_program(const View& view, const ViewProjection& from_world, const DrawnObject& o,

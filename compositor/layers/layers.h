@@ -9,6 +9,7 @@
 
 #include "compositor/layers/canvas.h"
 #include "compositor/layers/contour.h"
+#include "compositor/layers/drawn_vertices.h"
 #include "compositor/layers/gl.h"
 #include "compositor/layers/glossy.h"
 #include "compositor/layers/layer_programs.h"
@@ -34,6 +35,13 @@ class Layers {
   /// As of Compositor.
   void set_surroundings(const Surroundings& surroundings);
   void set_light_shares(int object, std::span<const std::array<float, 4>> shares);
+  /// Whether it has materials, and shows the floor in them.
+  bool mirrors(int object) const {
+    return objects_[static_cast<std::size_t>(object)].glossy.has_value();
+  }
+  static constexpr int kFloorTexels = Glossy::kFloorTexels;
+  /// As Glossy::set_floor. in: an object that mirrors, with a receiver
+  void set_floor(int object, const Image<Rgb>& ratios);
   int add_occluder(const prt::Mesh& mesh);
   /// Shadow ratios at the vertices of real geometry.
   void set_ratios(int occluder, std::span<const Rgb> ratios);
@@ -51,12 +59,6 @@ class Layers {
                     CommonLayer& hidden);
 
  private:
-  // Vertices that a lens takes beyond a mesh's own, each in the middle of two earlier ones.
-  using Middles = EdgeMiddles;
-  template <class Value>
-  static void extend(std::vector<Value>& values, const Middles& middles) {
-    for (const auto& [a, b] : middles) values.push_back((values[a] + values[b]) * .5f);
-  }
   struct LightMap {
     GlTexture texture{};
     int width = 0, height = 0;
@@ -65,7 +67,7 @@ class Layers {
     std::vector<Rgb> pixels{};
   };
   struct DrawnObject {
-    Middles middles{};
+    DrawnVertices drawn_vertices{};
     GlVertexArray geometry{};
     GlBuffer vertices{}, indices{}, seen{}, light{}, texture_coordinates{}, light_coordinates{};
     std::optional<GlTexture> albedo_map{};  // with a light map white where there is none
@@ -78,6 +80,8 @@ class Layers {
     std::vector<glm::vec3> positions{};
     std::vector<Rgb> albedo;   // by vertex of the object's own
     std::vector<Rgb> colours;  // by vertex that GL draws: radiance as lit now
+    // Of an object with a fine form: by vertex that GL draws, and by its own as lit now
+    std::vector<Rgb> fine_albedo{}, lit{};
     GLsizei index_count = 0, seen_count = 0;
     std::size_t stride = 0;  // floats a colour plane
     prt::Bounds bounds;
@@ -99,7 +103,7 @@ class Layers {
     Occluder quad;
   };
   struct OccluderMesh {
-    Middles middles;
+    DrawnVertices drawn_vertices;
     std::vector<glm::vec3> positions;
     std::vector<std::array<std::uint32_t, 3>> triangles;
     std::optional<prt::Bounds> shaded;  // of the triangles with a ratio other than 1
@@ -129,7 +133,8 @@ class Layers {
         white_(std::move(white)) {}
   void draw_occluders(const ViewProjection& from_world);
   void draw_hiding_planes(const glm::dvec3& eye, const ViewProjection& from_world);
-  Middles refine(prt::Mesh& mesh) const;
+  EdgeMiddles refine(prt::Mesh& mesh) const;
+  static void set_fine_light(DrawnObject& object, std::span<const float> relit);
   static void upload_coordinates(const DrawnObject& object, GLuint buffer, GLuint location,
                                  std::span<const glm::vec2> coordinates);
   std::vector<glm::dvec4> hiding_planes(const DrawnObject& object,

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <utility>
 
 namespace penumbra::compositor {
 
@@ -16,11 +17,15 @@ int Receivers::add(const prt::GroundGrid& grid) {
 }
 
 void Receivers::set_pose(int receiver, const Pose& world_from_bake) {
-  receivers_[static_cast<std::size_t>(receiver)].world_from_bake = world_from_bake;
+  Pose& pose = receivers_[static_cast<std::size_t>(receiver)].world_from_bake;
+  if (pose == world_from_bake) return;
+  ++changes_;
+  pose = world_from_bake;
 }
 
 void Receivers::show(int receiver, bool visible) {
-  receivers_[static_cast<std::size_t>(receiver)].visible = visible;
+  bool& shown = receivers_[static_cast<std::size_t>(receiver)].visible;
+  if (std::exchange(shown, visible) != visible) ++changes_;
 }
 
 void Receivers::add_real(const prt::GroundGrid& grid, const Pose& world_from_bake) {
@@ -54,6 +59,7 @@ void take(const shadows::PlanarShadow& shadow, const Rgb& of_open, auto& r) {
 }  // namespace
 
 void Receivers::set_shadow(int receiver, const shadows::PlanarShadow& shadow, const Rgb& of_open) {
+  ++changes_;
   take(shadow, of_open, receivers_[static_cast<std::size_t>(receiver)]);
 }
 
@@ -62,6 +68,7 @@ void Receivers::set_real_shadow(const shadows::PlanarShadow& shadow) {
 }
 
 void Receivers::set_shadow_maps(std::span<const ShadowMapOnPlane> lights) {
+  ++changes_;
   lights_.resize(lights.size());
   real_shadow_maps_.clear();
   for (std::size_t i = 0; i < lights.size(); ++i) {

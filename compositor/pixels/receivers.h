@@ -96,6 +96,12 @@ class Receivers {
   /// All of them at once; copies the maps.
   void set_shadow_maps(std::span<const ShadowMapOnPlane> lights);
 
+  /// Counts what the functions above were told.
+  int changes() const { return changes_; }
+  /// All that virtual things leave of the open plane's light, on a receiver's grid with so many
+  /// texels a side; without what real things take.
+  Image<Rgb> ratios_on(int receiver, int texels) const;
+
   /// Prepares for one view; returns the pixels that any shadow can reach.
   /// in: the view's lens stays for as long as rows are loaded
   Rect prepare(const View& view);
@@ -159,10 +165,12 @@ class Receivers {
                 float* b) const;
   void take_missing(int y, const Rect& area, std::span<float> r, std::span<float> g,
                     std::span<float> b) const;
+  Rgb ratio_at(const glm::dvec3& place) const;
   /// The lights' shadows, and what is left of it all by real things.
   void subtract_shadows(int y, const Rect& area, float* r, float* g, float* b) const;
 
   int samples_;
+  int changes_ = 0;
   std::vector<FloorReceiver> receivers_;
   std::optional<FloorReceiver> real_;
   std::vector<OnPlane> lights_;

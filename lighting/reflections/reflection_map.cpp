@@ -8,6 +8,7 @@
 #include "core/conventions.h"
 #include "core/threads/parallel.h"
 #include "lighting/reflections/ggx.h"
+#include "lighting/reflections/octahedral_map.h"
 #include "lighting/sh/basis.h"
 #include "lighting/sh/map_average.h"
 
@@ -15,11 +16,24 @@ namespace penumbra::lighting {
 
 namespace {
 
-constexpr int kSmallestFace = 8;
-constexpr int kMinSamples = 48, kMaxSamples = 96;
+constexpr int kSmallestSize = 10;
+// A smoother surface's lobe is narrower than the largest picture's texels: a mirror. Its width is
+// .004.
+constexpr float kMirror = .06325f;
+// Of the lobes of two levels between which others are mixed: a map with a setting sun is off by 1 %
+// at most then, one of a dark studio with small lamps by 20 %.
+constexpr float kWidthRatio = 1.4f;
+constexpr std::size_t kMaxSingle = 8;
+// As half precision holds it, with room for a factor.
+constexpr float kBrightest = 60'000;
 
-int face_of(int level) {
-  return ReflectionMap::kLargestFace >> level;
+// Texels a side: at least four over the lobe's full width at half its height, 2.6 alpha.
+int size_of(float roughness) {
+  int size = ReflectionMap::kLargestSize;
+  if (roughness > kMirror)
+    while (size > kSmallestSize && static_cast<float>(size / 2) * roughness * roughness > 6)
+      size /= 2;
+  return size;
 }
 
 struct TangentFrame {
@@ -33,17 +47,8 @@ TangentFrame frame_around(const glm::vec3& z) {
   return {x, glm::cross(z, x), z};
 }
 
-// what(face, x, y, direction of the texel's middle), on several threads.
-template <class What>
-void for_texels(int size, const What& what) {
-  const auto place = [size](int i) {
-    return (static_cast<float>(i) + .5f) / static_cast<float>(size);
-  };
-  parallel_for(0, 6 * size, 4, [&](const auto& rows) {
-    for (int row = rows.begin(); row < rows.end(); ++row)
-      for (int x = 0; x < size; ++x)
-        what(row / size, x, row % size, cube_direction(row / size, place(x), place(row % size)));
-  });
+glm::vec3 texel_direction(int x, int y, int size) {
+  return octahedral_direction((glm::vec2(x, y) + .5f) / static_cast<float>(size));
 }
 
 // Between the four nearest pixels, around the seam; at the poles those of the last row.
@@ -58,6 +63,24 @@ Rgb sample_latlong(const Image<Rgb>& map, const glm::vec3& d) {
          (map.at(a, y1) * (1 - fx) + map.at(b, y1) * fx) * fy;
 }
 
+// What a direction counts in the mean over the lobe, by its cosine with the lobe's middle: facets'
+// density along the half way vector, times the cosine.
+float lobe_weight(float roughness, float along) {
+  const float alpha = roughness * roughness;
+  return along * ggx_density(alpha, std::sqrt(.5f + .5f * along));
+}
+
+// Over the hemisphere, in steps of the cosine that are narrow where the lobe is.
+float lobe_sum_of(float roughness) {
+  constexpr int kSteps = 4096;
+  double sum = 0;
+  for (int i = 0; i < kSteps; ++i) {
+    const double t = (i + .5) / kSteps, below = t * t * t;  // 1 - cosine
+    sum += lobe_weight(roughness, static_cast<float>(1 - below)) * 3 * t * t / kSteps;
+  }
+  return static_cast<float>(2 * kPi * sum);
+}
+
 // Harmonics may fall below zero.
 Rgb light_from(const RadianceSh& light, const glm::vec3& d) {
   const Rgb c = evaluate(light, glm::dvec3(d));
@@ -66,48 +89,93 @@ Rgb light_from(const RadianceSh& light, const glm::vec3& d) {
 
 }  // namespace
 
-bool ReflectionMap::empty() const {
-  return std::ranges::all_of(levels, &CubeMap::empty);
+float ReflectionMap::place_of(float roughness) const {
+  float place = 0;
+  for (std::size_t i = 0; i + 1 < levels.size(); ++i) {
+    const float from = lobe_peak(levels[i].roughness), to = lobe_peak(levels[i + 1].roughness);
+    place += std::clamp((from - lobe_peak(roughness)) / (from - to), 0.f, 1.f);
+  }
+  return place;
 }
 
-void RoughnessRange::add(float roughness) {
-  const float r = std::clamp(roughness, 0.f, 1.f);
-  least = std::min(least, r), most = std::max(most, r);
+void SurfaceRoughness::add(float roughness) {
+  const float r = std::clamp(roughness, kMirror, 1.f);
+  add_level(r);
+  if (has_long_lobe(r)) add_level(kNarrowLobe * r);
 }
 
-ReflectionFilter::ReflectionFilter(const RoughnessRange& asked) {
-  constexpr int kSteps = ReflectionMap::kLevels - 1;
-  first_ = static_cast<int>(std::floor(asked.least * kSteps));
-  last_ = static_cast<int>(std::ceil(asked.most * kSteps));
-  base_ = std::min(ReflectionMap::kLargestFace, 2 * face_of(first_));
-  for (int level = std::max(first_, 1); level <= last_; ++level)
-    lobes_[static_cast<std::size_t>(level)] = lobe(ReflectionMap::roughness_of(level), base_);
-  directions_.reserve(static_cast<std::size_t>(6 * base_ * base_));
-  for (int face = 0; face < 6; ++face)
-    for (int y = 0; y < base_; ++y)
-      for (int x = 0; x < base_; ++x)
-        directions_.push_back(
-            cube_direction(face, (static_cast<float>(x) + .5f) / static_cast<float>(base_),
-                           (static_cast<float>(y) + .5f) / static_cast<float>(base_)));
-  for (int size = base_; size >= kSmallestFace; size /= 2) pyramid_.emplace_back(size);
+void SurfaceRoughness::add_level(float roughness) {
+  const auto at = std::ranges::lower_bound(single_, roughness);
+  if (at == single_.end() || *at != roughness) single_.insert(at, roughness);
 }
 
-// Each sample stands for its share of the lobe, and reads where texels are as large.
+void SurfaceRoughness::add_range(float least, float most) {
+  if (!(least < most)) return add(least);
+  if (has_long_lobe(least)) least *= kNarrowLobe;
+  least_ = std::min(least_, std::clamp(least, kMirror, 1.f));
+  most_ = std::max(most_, std::clamp(most, kMirror, 1.f));
+}
+
+std::vector<float> SurfaceRoughness::levels() const {
+  std::vector<float> out = single_;
+  float least = least_, most = most_;
+  if (out.size() > kMaxSingle) {
+    least = std::min(least, out.front()), most = std::max(most, out.back());
+    out.clear();
+  }
+  if (least <= most) {
+    // Lobes' widths rise by one factor.
+    const float ratio = most / least;
+    const auto steps =
+        std::min(static_cast<std::size_t>(std::ceil(2 * std::log(ratio) / std::log(kWidthRatio))),
+                 ReflectionMap::kMaxLevels - 1 - out.size());
+    for (std::size_t i = 0; i <= steps; ++i) {
+      const float part = steps > 0 ? static_cast<float>(i) / static_cast<float>(steps) : 0;
+      out.push_back(least * std::pow(ratio, part));
+    }
+  }
+  std::ranges::sort(out);
+  constexpr float kSame = 1e-3f;
+  const auto repeated =
+      std::ranges::unique(out, [](float a, float b) { return std::abs(a - b) < kSame; });
+  out.erase(repeated.begin(), repeated.end());
+  return out;
+}
+
+ReflectionFilter::ReflectionFilter(const SurfaceRoughness& asked) {
+  for (const float r : asked.levels()) plans_.push_back({r, size_of(r)});
+  base_ = std::min(ReflectionMap::kLargestSize, 2 * plans_.front().size);
+  for (LevelPlan& plan : plans_)
+    if (plan.roughness > kMirror) {
+      plan.lobe = lobe_of(plan.roughness, plan.size, base_);
+      plan.lobe_sum = lobe_sum_of(plan.roughness);
+    }
+  directions_.reserve(static_cast<std::size_t>(base_ * base_));
+  for (int y = 0; y < base_; ++y)
+    for (int x = 0; x < base_; ++x) directions_.push_back(texel_direction(x, y, base_));
+  whole_ = Image<Rgb>(base_, base_);
+  for (int size = base_; size >= kSmallestSize; size /= 2) pyramid_.emplace_back(size, size);
+  spots_ = pyramid_;
+}
+
+// Each sample stands for its share of the lobe, and reads where texels are as large. Small pictures
+// afford more of them.
 // source: Krivanek & Colbert 2008
-std::vector<ReflectionFilter::LobeSample> ReflectionFilter::lobe(float roughness, int base) {
+std::vector<ReflectionFilter::LobeSample> ReflectionFilter::lobe_of(float roughness, int size,
+                                                                    int base) {
+  constexpr int kSamples = 1'200'000, kMinSamples = 128, kMaxSamples = 512;
   const float alpha = roughness * roughness;
-  const int count =
-      std::clamp(static_cast<int>(2 * kMaxSamples * roughness), kMinSamples, kMaxSamples);
-  const float texel = static_cast<float>(4 * kPi) / static_cast<float>(6 * base * base);
+  const int count = std::clamp(kSamples / (size * size), kMinSamples, kMaxSamples);
+  const float texel = static_cast<float>(4 * kPi) / static_cast<float>(base * base);
   int halvings = 0;
-  while ((base >> (halvings + 1)) >= kSmallestFace) ++halvings;
+  while ((base >> (halvings + 1)) >= kSmallestSize) ++halvings;
   std::vector<LobeSample> out;
   float sum = 0;
   for (const glm::vec3& m : ggx_half_vectors(alpha, count)) {
     const glm::vec3 towards(2 * m.z * m.x, 2 * m.z * m.y, 2 * m.z * m.z - 1);
     if (towards.z <= 0) continue;
     const float share = 4 / (static_cast<float>(count) * ggx_density(alpha, m.z));
-    const float level = .5f * std::log2(share / texel) + 0.f;
+    const float level = .5f * std::log2(share / texel);
     out.push_back(
         {towards, towards.z, std::clamp(static_cast<int>(std::lround(level)), 0, halvings)});
     sum += towards.z;
@@ -118,16 +186,16 @@ std::vector<ReflectionFilter::LobeSample> ReflectionFilter::lobe(float roughness
 
 void ReflectionFilter::fill_base(const Image<Rgb>& map, const Image<float>& confidence,
                                  const RadianceSh& unseen) {
-  // A texel of the base is as large as a pixel of a map of twice as many rows.
+  // A texel of the base is about as large as a pixel of a map of as many rows.
   const Image<Rgb>* from = &map;
-  for (int i = 0; from->height() >= 4 * base_ && divides_into_blocks(*from, 2); i = 1 - i) {
+  for (int i = 0; 2 * from->height() >= 3 * base_ && divides_into_blocks(*from, 2); i = 1 - i) {
     average_blocks(*from, 2, blocks_[i]);
     from = &blocks_[i];
   }
   const auto row_length = static_cast<std::size_t>(base_);
-  parallel_for(0, 6 * base_, 16, [&](const auto& rows) {
+  parallel_for(0, base_, 16, [&](const auto& rows) {
     for (int row = rows.begin(); row < rows.end(); ++row) {
-      const auto out = pyramid_[0].faces[static_cast<std::size_t>(row / base_)].row(row % base_);
+      const auto out = whole_.row(row);
       for (std::size_t x = 0; x < row_length; ++x) {
         const glm::vec3& d = directions_[static_cast<std::size_t>(row) * row_length + x];
         bool seen = true;
@@ -136,52 +204,87 @@ void ReflectionFilter::fill_base(const Image<Rgb>& map, const Image<float>& conf
           seen = confidence.at(std::min(static_cast<int>(p.x), confidence.width() - 1),
                                std::min(static_cast<int>(p.y), confidence.height() - 1)) > 0;
         }
-        out[x] = seen ? sample_latlong(*from, d) : light_from(unseen, d);
+        const Rgb c = seen ? sample_latlong(*from, d) : light_from(unseen, d);
+        out[x] = {std::min(c.r, kBrightest), std::min(c.g, kBrightest), std::min(c.b, kBrightest)};
       }
     }
   });
-  for (std::size_t i = 1; i < pyramid_.size(); ++i) pyramid_[i] = halved(pyramid_[i - 1]);
-}
-
-// Narrow lobes are still some texels wide at half the size, for a quarter of the time.
-void ReflectionFilter::filter_level(int level, CubeMap& out) const {
-  constexpr int kFine = 32;
-  if (out.size() > kFine) {
-    CubeMap half(out.size() / 2);
-    sum_lobes(level, half);
-    for_texels(out.size(), [&](int face, int x, int y, const glm::vec3& direction) {
-      out.faces[static_cast<std::size_t>(face)].at(x, y) = sample(half, direction);
-    });
-  } else {
-    sum_lobes(level, out);
+  take_spots_out();
+  for (std::size_t i = 1; i < pyramid_.size(); ++i) {
+    average_blocks(pyramid_[i - 1], 2, pyramid_[i]);
+    if (any_spot_) average_blocks(spots_[i - 1], 2, spots_[i]);
   }
 }
 
-void ReflectionFilter::sum_lobes(int level, CubeMap& out) const {
-  const auto& samples = lobes_[static_cast<std::size_t>(level)];
-  for_texels(out.size(), [&](int face, int x, int y, const glm::vec3& direction) {
-    const TangentFrame frame = frame_around(direction);
-    Rgb sum;
-    for (const LobeSample& s : samples)
-      sum += sample(pyramid_[static_cast<std::size_t>(s.halvings)], frame(s.towards)) * s.weight;
-    out.faces[static_cast<std::size_t>(face)].at(x, y) = sum;
+// A lamp that is much brighter than the rest would be found by one sample of a lobe or by none. Of
+// such places there are few: together they have less light than the map.
+void ReflectionFilter::take_spots_out() {
+  constexpr float kBright = 50;  // times the mean
+  double sum = 0;
+  for (const Rgb& c : whole_.pixels()) sum += luminance(c);
+  const float limit = kBright * static_cast<float>(sum / static_cast<double>(whole_.area()));
+  any_spot_ = false;
+  const auto from = whole_.pixels();
+  const auto rest = pyramid_[0].pixels(), spots = spots_[0].pixels();
+  for (std::size_t i = 0; i < from.size(); ++i) {
+    const float y = luminance(from[i]);
+    rest[i] = y > limit ? from[i] * (limit / y) : from[i];
+    spots[i] = from[i] - rest[i];
+    any_spot_ |= y > limit;
+  }
+}
+
+// In texels of which several lie within the lobe.
+std::vector<ReflectionFilter::Spot> ReflectionFilter::spots_for(const LevelPlan& plan) const {
+  std::vector<Spot> out;
+  if (!any_spot_) return out;
+  std::size_t level = 0;
+  while (level + 1 < spots_.size() && spots_[level].width() > 2 * plan.size) ++level;
+  const Image<Rgb>& picture = spots_[level];
+  for (int y = 0; y < picture.height(); ++y)
+    for (int x = 0; x < picture.width(); ++x) {
+      const Rgb& c = picture.at(x, y);
+      if (!(luminance(c) > 0)) continue;
+      const glm::vec3 d = texel_direction(x, y, picture.width());
+      out.push_back({d, c * octahedral_solid_angle(d, picture.width())});
+    }
+  return out;
+}
+
+void ReflectionFilter::sum_lobes(const LevelPlan& plan, Image<Rgb>& out) const {
+  const std::vector<Spot> spots = spots_for(plan);
+  parallel_for(0, plan.size, 2, [&](const auto& rows) {
+    for (int y = rows.begin(); y < rows.end(); ++y)
+      for (int x = 0; x < plan.size; ++x) {
+        const TangentFrame frame = frame_around(texel_direction(x, y, plan.size));
+        Rgb sum;
+        for (const LobeSample& s : plan.lobe)
+          sum +=
+              sample_octahedral(pyramid_[static_cast<std::size_t>(s.halvings)], frame(s.towards)) *
+              s.weight;
+        for (const Spot& s : spots) {
+          const float along = glm::dot(frame.z, s.towards);
+          if (along > 0) sum += s.power * (lobe_weight(plan.roughness, along) / plan.lobe_sum);
+        }
+        out.at(x, y) = sum;
+      }
   });
 }
 
 void ReflectionFilter::filter(const Image<Rgb>& map, const Image<float>& confidence,
                               const RadianceSh& unseen, ReflectionMap& out) {
   fill_base(map, confidence, unseen);
-  for (int level = 0; level < ReflectionMap::kLevels; ++level) {
-    CubeMap& cube = out.levels[static_cast<std::size_t>(level)];
-    if (level < first_ || level > last_) {
-      cube = {};
+  out.levels.resize(plans_.size());
+  for (std::size_t i = 0; i < plans_.size(); ++i) {
+    ReflectionMap::RoughnessLevel& level = out.levels[i];
+    level.roughness = plans_[i].roughness;
+    if (plans_[i].lobe.empty()) {
+      level.picture = whole_;
       continue;
     }
-    if (cube.size() != face_of(level)) cube = CubeMap(face_of(level));
-    if (level == 0)
-      cube = pyramid_[0];
-    else
-      filter_level(level, cube);
+    if (level.picture.width() != plans_[i].size)
+      level.picture = Image<Rgb>(plans_[i].size, plans_[i].size);
+    sum_lobes(plans_[i], level.picture);
   }
 }
 

@@ -1,46 +1,74 @@
-// The surroundings as surfaces of each roughness reflect them: cube maps, blurred by the GGX lobe.
+// The surroundings as surfaces of each roughness reflect them: pictures, blurred by the GGX lobe.
 // threads: ReflectionFilter thread-bound, parallel inside
 #pragma once
 
-#include <array>
-#include <glm/vec2.hpp>
-#include <memory>
+#include <algorithm>
+#include <glm/vec3.hpp>
 #include <vector>
 
 #include "core/image.h"
 #include "core/sh.h"
-#include "lighting/reflections/cube_map.h"
 
 #pragma GCC visibility push(default)
 namespace penumbra::lighting {
 
-/// levels[k]: mean radiance over the lobe around each direction of reflection, seen along the
-/// normal, at roughness k/6; faces of 256 >> k. Those that nobody asked for are empty.
+/// Density of the lobe's facets along the normal, but for a factor: 1/alpha^2.
+inline float lobe_peak(float roughness) {
+  const float alpha = std::max(roughness * roughness, .003f);
+  return 1 / (alpha * alpha);
+}
+
+/// Mean radiance over the lobe around each direction of reflection, seen along the normal, for
+/// some roughnesses.
 /// source: the split sum of Karis 2013
 struct ReflectionMap {
-  static constexpr int kLevels = 7;
-  static constexpr int kLargestFace = 256;
-  static constexpr float roughness_of(int level) {
-    return static_cast<float>(level) / (kLevels - 1);
-  }
+  /// As many texels as six faces of 256 x 256.
+  static constexpr int kLargestSize = 640;
+  static constexpr std::size_t kMaxLevels = 12;
 
-  std::array<CubeMap, kLevels> levels;
+  struct RoughnessLevel {
+    float roughness = 0;
+    Image<Rgb> picture{};  // octahedral (octahedral_map.h)
+  };
+  std::vector<RoughnessLevel> levels{};  // by roughness, rising
 
-  bool empty() const;
+  bool empty() const { return levels.empty(); }
+  /// Between which levels a roughness lies: 1.25 takes a quarter of the third and the rest of the
+  /// second. By lobe_peak(), so that a mean of two lobes is as bright over a small lamp as the one
+  /// that is meant. As the shader of surfaces has it.
+  float place_of(float roughness) const;
 };
 
-/// Roughnesses that a scene's surfaces have; none at first.
-struct RoughnessRange {
-  float least = 1, most = -1;  // 0..1
+/// Rough lobes seen slantwise are longer than wide: narrower ones in a row, of so much of their
+/// roughness, stand for them.
+inline constexpr float kNarrowLobe = .7746f;  // the root of .6: widths go by its square
+inline bool has_long_lobe(float roughness) {
+  return roughness > .15f;
+}
 
-  bool empty() const { return most < least; }
+/// Roughnesses that a scene's surfaces have, with those of narrower lobes; none at first.
+class SurfaceRoughness {
+ public:
+  /// Of a surface that has one.
   void add(float roughness);
+  /// Of a surface whose roughness is a picture's.
+  void add_range(float least, float most);
+  bool empty() const { return single_.empty() && most_ < least_; }
+  /// Those for which levels are made: each that is a surface's own, and steps between which others
+  /// are mixed. At most ReflectionMap::kMaxLevels, rising.
+  std::vector<float> levels() const;
+
+ private:
+  void add_level(float roughness);
+
+  std::vector<float> single_;    // rising
+  float least_ = 1, most_ = -1;  // of pictures
 };
 
 class ReflectionFilter {
  public:
   /// in: not empty
-  explicit ReflectionFilter(const RoughnessRange& asked);
+  explicit ReflectionFilter(const SurfaceRoughness& asked);
 
   /// in:  map: lat-long, finite; lights that are drawn as such are not in it
   ///      confidence: 0 where nothing was seen, which `unseen` then tells; empty: all was seen
@@ -54,17 +82,30 @@ class ReflectionFilter {
     float weight;       // of all, 1 in sum
     int halvings;       // of the base, for a sample of its solid angle
   };
+  struct LevelPlan {
+    float roughness;
+    int size;                        // of the picture
+    std::vector<LobeSample> lobe{};  // none: the base itself
+    float lobe_sum = 0;              // of the lobe's weights over its solid angle
+  };
+  struct Spot {
+    glm::vec3 towards;
+    Rgb power;  // radiance times solid angle
+  };
   void fill_base(const Image<Rgb>& map, const Image<float>& confidence, const RadianceSh& unseen);
-  void filter_level(int level, CubeMap& out) const;
-  void sum_lobes(int level, CubeMap& out) const;
-  static std::vector<LobeSample> lobe(float roughness, int base);
+  void take_spots_out();
+  std::vector<Spot> spots_for(const LevelPlan& plan) const;
+  void sum_lobes(const LevelPlan& plan, Image<Rgb>& out) const;
+  static std::vector<LobeSample> lobe_of(float roughness, int size, int base);
 
-  int first_ = 0, last_ = 0;  // levels
-  int base_ = 0;              // texels a side of the picture that lobes are taken over
-  std::array<std::vector<LobeSample>, ReflectionMap::kLevels> lobes_;
+  int base_ = 0;  // texels a side of the picture that lobes are taken over
+  std::vector<LevelPlan> plans_;
   std::vector<glm::vec3> directions_;  // of the base's texels
-  std::vector<CubeMap> pyramid_;       // the base, and its halvings
-  Image<Rgb> blocks_[2];               // scratch
+  Image<Rgb> whole_;                   // the base
+  // Without its bright spots, those, and the halvings of both
+  std::vector<Image<Rgb>> pyramid_, spots_;
+  bool any_spot_ = false;
+  Image<Rgb> blocks_[2];  // scratch
 };
 
 }  // namespace penumbra::lighting

@@ -13,6 +13,7 @@
 #include <vector>
 
 #include "core/result.h"
+#include "prt/geometry/fine_form.h"
 #include "prt/geometry/material.h"
 #include "prt/geometry/mesh.h"
 #include "prt/geometry/receiver.h"
@@ -87,6 +88,8 @@ struct BakedObject {
   VisibilityMap visibility;
   /// Materials of the mesh, for whoever draws it; null where its albedo is all.
   std::shared_ptr<const SurfaceMaterials> surface{};
+  /// What is drawn instead of the mesh; null: the mesh. Not in files.
+  std::shared_ptr<const FineForm> fine{};
   BakeReport report;
 };
 

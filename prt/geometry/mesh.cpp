@@ -55,6 +55,15 @@ float radius_of(const Mesh& mesh) {
   return radius_around(mesh, bounds_of(mesh).centre());
 }
 
+float likely_unit_m(const Mesh& mesh) {
+  constexpr float kLikelyCentimetres = 20, kLikelyMillimetres = 2000;  // of the largest extent
+  const Bounds b = bounds_of(mesh);
+  const glm::vec3 size = b.high - b.low;
+  const float largest = std::max({size.x, size.y, size.z});
+  if (!(largest > kLikelyCentimetres)) return 1;
+  return largest > kLikelyMillimetres ? .001f : .01f;
+}
+
 void transform(Mesh& mesh, const glm::dmat4& matrix) {
   const glm::dmat3 normal_matrix = glm::transpose(glm::inverse(glm::dmat3(matrix)));
   for (glm::vec3& p : mesh.positions) p = glm::vec3(matrix * glm::dvec4(p, 1));

@@ -1,6 +1,10 @@
 #include <embree3/rtcore.h>
 
 #include <algorithm>
+#include <array>
+#include <glm/geometric.hpp>
+#include <glm/vec2.hpp>
+#include <limits>
 
 #include "prt/geometry/mesh.h"
 #include "prt/rays/internal/embree_mesh.h"
@@ -106,6 +110,70 @@ RTCIntersectContext coherent_context() {
 }
 
 }  // namespace
+
+namespace {
+
+// Weights of b and c of the place of a triangle that is nearest to p.
+// source: Ericson 2004, section 5.1.5
+glm::vec2 nearest_place(const glm::vec3& p, const glm::vec3& a, const glm::vec3& b,
+                        const glm::vec3& c) {
+  const glm::vec3 ab = b - a, ac = c - a, ap = p - a, bp = p - b, cp = p - c;
+  const float d1 = glm::dot(ab, ap), d2 = glm::dot(ac, ap), d3 = glm::dot(ab, bp),
+              d4 = glm::dot(ac, bp), d5 = glm::dot(ab, cp), d6 = glm::dot(ac, cp);
+  if (d1 <= 0 && d2 <= 0) return {0, 0};
+  if (d3 >= 0 && d4 <= d3) return {1, 0};
+  if (d6 >= 0 && d5 <= d6) return {0, 1};
+  const float vc = d1 * d4 - d3 * d2, vb = d5 * d2 - d1 * d6, va = d3 * d6 - d5 * d4;
+  if (vc <= 0 && d1 >= 0 && d3 <= 0) return {d1 / (d1 - d3), 0};
+  if (vb <= 0 && d2 >= 0 && d6 <= 0) return {0, d2 / (d2 - d6)};
+  if (va <= 0 && d4 >= d3 && d5 >= d6) {
+    const float w = (d4 - d3) / (d4 - d3 + (d5 - d6));
+    return {1 - w, w};
+  }
+  const float sum = va + vb + vc;
+  return sum > 0 ? glm::vec2(vb / sum, vc / sum) : glm::vec2(0);
+}
+
+struct NearestQuery {
+  const glm::vec3* vertices;
+  const std::array<std::uint32_t, 3>* triangles;
+  glm::vec3 point, normal;
+  float behind;
+  Hit best;
+};
+
+bool keep_nearest(RTCPointQueryFunctionArguments* arguments) {
+  auto& q = *static_cast<NearestQuery*>(arguments->userPtr);
+  const auto& [i, j, k] = q.triangles[arguments->primID];
+  const glm::vec3 &a = q.vertices[i], &b = q.vertices[j], &c = q.vertices[k];
+  const glm::vec2 place = nearest_place(q.point, a, b, c);
+  const glm::vec3 at = a * (1 - place.x - place.y) + b * place.x + c * place.y;
+  const bool front = glm::dot(glm::cross(b - a, c - a), q.normal) > 0;
+  const float distance = glm::length(at - q.point) + (front ? 0 : q.behind);
+  if (distance >= q.best.distance) return false;
+  q.best = {arguments->primID, distance, place.x, place.y, front};
+  arguments->query->radius = distance;
+  return true;
+}
+
+}  // namespace
+
+Hit RayScene::nearest(const glm::vec3& point, const glm::vec3& normal, float behind) const {
+  RTCGeometry geometry = rtcGetGeometry(impl_->scene, 0);
+  NearestQuery query{
+      static_cast<const glm::vec3*>(rtcGetGeometryBufferData(geometry, RTC_BUFFER_TYPE_VERTEX, 0)),
+      static_cast<const std::array<std::uint32_t, 3>*>(
+          rtcGetGeometryBufferData(geometry, RTC_BUFFER_TYPE_INDEX, 0)),
+      point,
+      normal,
+      behind,
+      {0, std::numeric_limits<float>::infinity(), 0, 0, true}};
+  RTCPointQuery where{point.x, point.y, point.z, 0, std::numeric_limits<float>::infinity()};
+  RTCPointQueryContext context;
+  rtcInitPointQueryContext(&context);
+  rtcPointQuery(impl_->scene, &where, &context, keep_nearest, &query);
+  return query.best;
+}
 
 void RayScene::update_vertices(const Mesh& form) {
   set_embree_form(impl_->scene, form);

@@ -39,6 +39,11 @@ class RayScene {
   bool occluded(const glm::vec3& origin, const glm::vec3& direction, float near,
                 float far = 1e30f) const;
 
+  /// The place of the mesh that is nearest to a point. Sides that face away from `normal` count as
+  /// farther by `behind`: a thin wall's other side is none.
+  /// in: a scene of an unmoved mesh
+  Hit nearest(const glm::vec3& point, const glm::vec3& normal, float behind) const;
+
   static constexpr int kPacket = 16;
   struct RayPacket {
     alignas(64) float x[kPacket], y[kPacket], z[kPacket];  // unit directions

@@ -42,7 +42,7 @@ class LightEstimationStage {
     estimator_.set_governor(governor_config);
   }
   /// As LightEstimator::mirror.
-  void mirror(const lighting::RoughnessRange& surfaces) { estimator_.mirror(surfaces); }
+  void mirror(const lighting::SurfaceRoughness& surfaces) { estimator_.mirror(surfaces); }
   void allow_lights(int max_count) { estimator_.allow_lights(max_count); }
   /// The time of the light is that of its stalest camera.
   /// errors: as HdrRing::add and capture::camera_regions (kUndetermined is an ordinary state: all

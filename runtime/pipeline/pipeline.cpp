@@ -78,7 +78,7 @@ struct Pipeline::Impl {
   std::mutex light_mutex;
   lighting::LightEstimate newest_light;  // guarded by light_mutex
   Latest<lighting::GovernorConfig> next_governor;
-  Latest<lighting::RoughnessRange> next_mirror;  // of the scene that comes next
+  Latest<lighting::SurfaceRoughness> next_mirror;  // of the scene that comes next
   std::mutex governor_mutex;
   lighting::GovernorConfig governor;  // the newest; guarded by governor_mutex
 
@@ -308,7 +308,7 @@ Result<void> Pipeline::change_scene(runtime::PreparedScene scene) {
     PENUMBRA_ASSIGN(made, impl_->make_governor(scene));
     config = made;
   }
-  const lighting::RoughnessRange mirrored = runtime::mirrored_roughness(scene);
+  const lighting::SurfaceRoughness mirrored = runtime::mirrored_roughness(scene);
   PENUMBRA_ASSIGN(next,
                   impl_->prepare_next(std::make_shared<runtime::PreparedScene>(std::move(scene))));
   impl_->next_mirror.put(mirrored);

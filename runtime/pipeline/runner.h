@@ -27,7 +27,7 @@ struct LiveChanges {
   std::function<CompositeStage*()> take_stage;  // warm, keeping time; null: the one before goes on
   // On the light's thread, before and after each environment frame
   std::function<std::optional<lighting::GovernorConfig>()> take_governor;
-  std::function<std::optional<lighting::RoughnessRange>()> take_mirror{};
+  std::function<std::optional<lighting::SurfaceRoughness>()> take_mirror{};
   std::function<void(const LightEstimationStage&, const lighting::LightEstimate&)> on_light;
 };
 

@@ -14,6 +14,7 @@
 #include "prt/geometry/ground_grid.h"
 #include "prt/geometry/masked.h"
 #include "prt/geometry/receiver.h"
+#include "prt/rays/fine_form.h"
 #include "runtime/scene/animated.h"
 #include "runtime/scene/bake_cache.h"
 #include "runtime/scene/internal/depth_mesh.h"
@@ -101,6 +102,24 @@ std::shared_ptr<const prt::SurfaceMaterials> turned(
   return out;
 }
 
+void tell_unit(const SceneObject& o, const prt::Mesh& mesh) {
+  const float unit = prt::likely_unit_m(mesh);
+  if (unit == 1 || o.place_on_floor || o.scale != 1) return;
+  log_warning(
+      "{}: has a radius of {:.0f} m, so its file is likely in {}: give scale = {} or "
+      "fit_size_m",
+      o.name, prt::radius_of(mesh), unit < .01f ? "millimetres" : "centimetres", unit);
+}
+
+std::shared_ptr<const prt::FineForm> placed(const std::shared_ptr<const prt::FineForm>& fine,
+                                            const glm::dmat4& place, const glm::mat3& turn) {
+  if (!fine) return fine;
+  prt::FineForm out = *fine;
+  prt::transform(out.mesh, place);
+  out.surface = turned(out.surface, turn);
+  return std::make_shared<const prt::FineForm>(std::move(out));
+}
+
 Result<PreparedObject> prepare_object(const SceneObject& o, const PreparedScene& scene,
                                       const BakeSettings& settings, AssetBakes& bakes,
                                       const std::function<void(double)>& progress) {
@@ -108,13 +127,19 @@ Result<PreparedObject> prepare_object(const SceneObject& o, const PreparedScene&
   if (!o.asset.starts_with("builtin:") && prt::is_baked_file(o.asset))
     return place_baked(o,
                        plane_under(scene.planes, {glm::vec3(o.position), glm::vec3(o.position)}));
-  PENUMBRA_ASSIGN(asset, load_asset(o.asset, o.albedo, settings.max_edge_fraction));
-  auto& [mesh, surface] = asset;
-  const prt::Plane* const plane = plane_below(o, mesh, scene.planes);
-  const Standing standing = standing_of(o, mesh, plane);
+  const std::size_t max_vertices = o.max_vertices > 0 ? o.max_vertices : settings.max_vertices;
+  PENUMBRA_ASSIGN(asset, load_asset(o.asset, o.albedo, settings.max_edge_fraction, max_vertices));
+  auto& [mesh, surface, fine] = asset;
+  const prt::Mesh& seen = fine ? fine->mesh : mesh;
+  tell_unit(o, seen);
+  const prt::Plane* const plane = plane_below(o, seen, scene.planes);
+  const Standing standing = standing_of(o, seen, plane);
   if (standing.tilt != glm::dquat(1, 0, 0, 0)) {
-    prt::transform(mesh, glm::dmat4(glm::mat3_cast(standing.tilt)));
-    surface = turned(surface, glm::mat3_cast(glm::quat(standing.tilt)));
+    const glm::dmat4 tilt(glm::mat3_cast(standing.tilt));
+    const glm::mat3 turn = glm::mat3_cast(glm::quat(standing.tilt));
+    prt::transform(mesh, tilt);
+    surface = turned(surface, turn);
+    fine = placed(fine, tilt, turn);
   }
   prt::BakeOptions options;
   options.bands = settings.bands;
@@ -128,6 +153,7 @@ Result<PreparedObject> prepare_object(const SceneObject& o, const PreparedScene&
   PENUMBRA_ASSIGN(baked,
                   bakes.get(o.name, std::move(mesh), options, plane ? plane->albedo : Rgb{}));
   baked.surface = surface;
+  baked.fine = fine;
   put_in_place(baked, standing.scale, standing.shift);
   return PreparedObject{o.name, std::move(baked), standing.world_from_bake, o.spin_rpm, nullptr};
 }
@@ -171,27 +197,63 @@ Pose PreparedObject::pose_at(double seconds) const {
 
 namespace {
 
-void add_roughness(const prt::Material& m, lighting::RoughnessRange& range) {
+void add_roughness(const prt::Material& m, lighting::SurfaceRoughness& out) {
   if (m.unlit) return;
-  if (m.clearcoat > 0) range.add(m.clearcoat_roughness);
-  if (!m.metallic_roughness_map) return range.add(m.roughness);
+  if (m.clearcoat > 0) out.add(m.clearcoat_roughness);
+  if (!m.metallic_roughness_map) return out.add(m.roughness);
   const auto codes = m.metallic_roughness_map.picture->codes.pixels();
   const auto [low, high] = std::ranges::minmax(codes, {}, &prt::Rgba8::g);
-  range.add(m.roughness * static_cast<float>(low.g) / 255);
-  range.add(m.roughness * static_cast<float>(high.g) / 255);
+  constexpr float kUnit = 1.f / 255;
+  out.add_range(m.roughness * kUnit * static_cast<float>(low.g),
+                m.roughness * kUnit * static_cast<float>(high.g));
 }
 
 }  // namespace
 
-lighting::RoughnessRange mirrored_roughness(const PreparedScene& scene) {
-  lighting::RoughnessRange out;
+lighting::SurfaceRoughness mirrored_roughness(const PreparedScene& scene) {
+  lighting::SurfaceRoughness out;
   for (const PreparedObject& o : scene.objects)
     if (o.baked.surface)
       for (const prt::Material& m : o.baked.surface->materials) add_roughness(m, out);
   return out;
 }
 
-Result<LoadedAsset> load_asset(const std::string& asset, Rgb albedo, float edge_fraction) {
+namespace {
+
+// Few vertices that are lit, of short edges.
+struct CoarseMesh {
+  prt::Mesh mesh;
+  std::shared_ptr<const prt::SurfaceMaterials> surface;
+  float error;
+};
+CoarseMesh coarse_of(const LoadedAsset& asset, float edge_fraction, std::size_t max_vertices) {
+  prt::Simplified few = prt::simplify(asset.mesh, 2 * max_vertices / 3);
+  const auto middles =
+      prt::subdivide(few.mesh, edge_fraction * prt::radius_of(few.mesh), 4 * max_vertices);
+  CoarseMesh out{std::move(few.mesh), nullptr, few.error};
+  if (!asset.surface) return out;
+  prt::SurfaceMaterials surface = prt::picked(*asset.surface, few.from);
+  surface.extend(middles);
+  out.surface = std::make_shared<const prt::SurfaceMaterials>(std::move(surface));
+  return out;
+}
+
+Result<void> make_fine(const std::string& name, float edge_fraction, std::size_t max_vertices,
+                       LoadedAsset& asset) {
+  CoarseMesh coarse = coarse_of(asset, edge_fraction, max_vertices);
+  log_info("{}: {} vertices are drawn, and lit from {}, which are off by {:.2g} % of its size",
+           name, asset.mesh.positions.size(), coarse.mesh.positions.size(), 100 * coarse.error);
+  PENUMBRA_ASSIGN(fine, prt::lit_by(std::move(asset.mesh), coarse.mesh));
+  fine.surface = std::move(asset.surface);
+  asset = {std::move(coarse.mesh), std::move(coarse.surface),
+           std::make_shared<const prt::FineForm>(std::move(fine))};
+  return {};
+}
+
+}  // namespace
+
+Result<LoadedAsset> load_asset(const std::string& asset, Rgb albedo, float edge_fraction,
+                               std::size_t max_vertices) {
   LoadedAsset out;
   prt::Mesh& mesh = out.mesh;
   const int subdivision =
@@ -231,7 +293,11 @@ Result<LoadedAsset> load_asset(const std::string& asset, Rgb albedo, float edge_
     out.surface = materials;
   }
   if (!(edge_fraction > 0)) return out;
-  const auto middles = prt::subdivide(mesh, edge_fraction * prt::radius_of(mesh));
+  if (mesh.positions.size() > max_vertices) {
+    PENUMBRA_TRY(make_fine(asset, edge_fraction, max_vertices, out));
+    return out;
+  }
+  const auto middles = prt::subdivide(mesh, edge_fraction * prt::radius_of(mesh), 4 * max_vertices);
   if (materials) materials->extend(middles);
   return out;
 }
@@ -320,7 +386,7 @@ prt::Mesh world_mesh(const PreparedScene& scene, bool with_objects, double secon
   if (!with_objects) return all;
   for (const PreparedObject& o : scene.objects) {
     if (!o.visible) continue;
-    prt::Mesh mesh = o.mesh_at(seconds);
+    prt::Mesh mesh = o.baked.fine ? o.baked.fine->mesh : o.mesh_at(seconds);
     prt::transform(mesh, o.pose_at(seconds).matrix());
     append(all, mesh);
   }

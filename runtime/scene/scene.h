@@ -49,8 +49,9 @@ struct SceneObject : Placement {
   double transfer_ms = 5;  // a frame, for that
   std::array<int, 2> light_map{0, 0};  // width, height of one, texels; 0: transfer at vertices
   Rgb albedo{.7f, .7f, .7f};
-  double spin_rpm = 0;  // turntable about the receiver's normal
-  bool visible = true;  // from the start
+  double spin_rpm = 0;   // turntable about the receiver's normal
+  int max_vertices = 0;  // lit; 0: as BakeSettings has it
+  bool visible = true;   // from the start
   // Not of files: baked as BakeSettings::coarse() for now, and which one of that name it is
   bool coarse = false;
   unsigned instance = 0;
@@ -95,11 +96,14 @@ struct BakeSettings {
   /// Longest edge of still objects after subdivision, as a fraction of the bounding radius: one in
   /// 33 holds the edges of a sun's shadow. Characters always have the default.
   float max_edge_fraction = .03f;
+  /// A still object with more of them is lit at about so many and drawn in full.
+  std::size_t max_vertices = 100'000;
 
   /// For a first picture in seconds: a quarter of the vertices and of the rays, no visibility.
   static BakeSettings coarse() {
     BakeSettings out;
     out.max_edge_fraction = .06f;
+    out.max_vertices = 30'000;
     out.rays = out.ground_rays = 256;
     out.visibility = false;
     return out;
@@ -203,7 +207,7 @@ Result<PreparedScene> prepare(
     const std::function<std::function<void(double)>(const std::string&)>& progress);
 
 /// Roughnesses of all surfaces with materials; empty without any.
-lighting::RoughnessRange mirrored_roughness(const PreparedScene& scene);
+lighting::SurfaceRoughness mirrored_roughness(const PreparedScene& scene);
 
 /// From the mesh's frame to the world. With fit_size_m the mesh, turned as it is, touches the floor
 /// of normal `up` through the position.
@@ -215,12 +219,15 @@ glm::dvec3 floor_normal(const std::vector<prt::Plane>& planes, const glm::dvec3&
 
 /// An asset in its own frame, or a built-in one. `edge_fraction`: longest edge after subdivision,
 /// as a fraction of the bounding radius (vertex transfer needs short edges); 0 leaves the mesh.
-/// Above .05 the built-in knot and twist have a quarter of their vertices.
+/// Above .05 the built-in knot and twist have a quarter of their vertices. A file's mesh of more
+/// than `max_vertices` is simplified.
 struct LoadedAsset {
   prt::Mesh mesh;
   std::shared_ptr<const prt::SurfaceMaterials> surface{};  // null: its albedo is all
+  std::shared_ptr<const prt::FineForm> fine{};             // of a mesh that is simplified
 };
-Result<LoadedAsset> load_asset(const std::string& asset, Rgb albedo, float edge_fraction);
+Result<LoadedAsset> load_asset(const std::string& asset, Rgb albedo, float edge_fraction,
+                               std::size_t max_vertices = BakeSettings{}.max_vertices);
 
 /// All meshes of a scene that are visible from the start, in the world frame at a time, for the
 /// reference.

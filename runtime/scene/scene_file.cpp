@@ -9,10 +9,10 @@ namespace penumbra::runtime {
 namespace fs = std::filesystem;
 namespace {
 
-constexpr std::string_view kObjectKeys[] = {"name",      "asset",        "albedo",     "position",
-                                            "rotation",  "scale",        "spin_rpm",   "visible",
-                                            "animation", "transfer",     "light_map",  "fit_size_m",
-                                            "blend",     "blend_weight", "transfer_ms"};
+constexpr std::string_view kObjectKeys[] = {
+    "name",     "asset",        "albedo",      "position",    "rotation",  "scale",
+    "spin_rpm", "visible",      "animation",   "transfer",    "light_map", "fit_size_m",
+    "blend",    "blend_weight", "transfer_ms", "max_vertices"};
 constexpr std::string_view kPlacementKeys[] = {"position", "rotation", "scale", "fit_size_m"};
 constexpr std::string_view kRealKeys[] = {"plane",    "mesh",     "depth", "camera",    "albedo",
                                           "position", "rotation", "scale", "fit_size_m"};
@@ -118,6 +118,11 @@ Result<SceneObject> read_object(const TomlKeys& keys, const fs::path& folder) {
     o.albedo = albedo;
   }
   PENUMBRA_TRY(read_placement(keys, o));
+  if (keys.has("max_vertices")) {
+    constexpr int kFewest = 1'000, kMost = 10'000'000;
+    PENUMBRA_ASSIGN(count, keys.integer("max_vertices", kFewest, kMost));
+    o.max_vertices = count;
+  }
   if (keys.has("spin_rpm")) {
     PENUMBRA_ASSIGN(spin, keys.number("spin_rpm"));
     if (!(std::abs(spin) <= kFastest_rpm))
@@ -319,6 +324,7 @@ Result<void> write_scene(const fs::path& path, const Scene& scene) {
     if (o.light_map[0] > 0)
       text += fmt::format("light_map = [{}, {}]\n", o.light_map[0], o.light_map[1]);
     if (o.spin_rpm != 0) text += fmt::format("spin_rpm = {}\n", o.spin_rpm);
+    if (o.max_vertices != 0) text += fmt::format("max_vertices = {}\n", o.max_vertices);
     if (!o.visible) text += "visible = false\n";
   }
   for (const RealGeometry& r : scene.real) {

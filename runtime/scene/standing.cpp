@@ -4,6 +4,8 @@
 #include <cmath>
 #include <glm/gtx/quaternion.hpp>
 #include <limits>
+#include <memory>
+#include <utility>
 
 #include "prt/geometry/receiver.h"
 #include "runtime/scene/animated.h"
@@ -73,6 +75,11 @@ void put_in_place(prt::BakedObject& baked, double scale, const glm::dvec3& shift
   glm::dmat4 place{glm::dmat3(scale)};
   place[3] = glm::dvec4(scale * shift, 1);
   prt::transform(baked.mesh, place);
+  if (baked.fine) {
+    auto fine = std::make_shared<prt::FineForm>(*baked.fine);
+    prt::transform(fine->mesh, place);
+    baked.fine = std::move(fine);
+  }
   if (!baked.receiver) return;
   prt::GroundGrid& grid = baked.receiver->grid;
   const auto k = static_cast<float>(scale);

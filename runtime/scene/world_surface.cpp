@@ -70,12 +70,12 @@ Result<std::shared_ptr<const prt::SurfaceMaterials>> world_surface(const Prepare
   out.add(scene.real_mesh);
   for (const PreparedObject& o : scene.objects) {
     if (!with_objects || !o.visible) continue;
-    if (o.baked.surface) {
-      PENUMBRA_TRY(
-          out.add(*o.baked.surface, glm::mat3_cast(glm::quat(o.pose_at(seconds).rotation))));
+    const prt::FineForm* const fine = o.baked.fine.get();
+    if (const auto& surface = fine ? fine->surface : o.baked.surface) {
+      PENUMBRA_TRY(out.add(*surface, glm::mat3_cast(glm::quat(o.pose_at(seconds).rotation))));
       any = true;
     } else {
-      out.add(o.mesh_at(seconds));
+      out.add(fine ? fine->mesh : o.mesh_at(seconds));
     }
   }
   return any ? out.take() : nullptr;

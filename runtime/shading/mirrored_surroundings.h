@@ -31,7 +31,7 @@ class MirroredSurroundings {
   std::shared_ptr<const lighting::ReflectionMap> from_harmonics(const RadianceSh& light);
 
   const PreparedScene& scene_;
-  lighting::RoughnessRange asked_;
+  lighting::SurfaceRoughness asked_;
   std::optional<lighting::ReflectionFilter> own_filter_;  // of estimates without reflections
   std::optional<lighting::LightEstimate> shown_;
   std::vector<std::array<float, 4>> shares_;  // scratch, of one object's vertices

@@ -234,7 +234,7 @@ bool is_another_bake(const runtime::SceneObject& a, const runtime::SceneObject& 
   return a.asset != b.asset || a.animation != b.animation || a.transfer != b.transfer ||
          a.blend != b.blend || a.live != b.live || !(a.albedo == b.albedo) || a.scale != b.scale ||
          a.place_on_floor != b.place_on_floor || a.fit_size_m != b.fit_size_m ||
-         a.spin_rpm != b.spin_rpm || a.light_map != b.light_map;
+         a.spin_rpm != b.spin_rpm || a.max_vertices != b.max_vertices || a.light_map != b.light_map;
 }
 
 bool have_same_lamps(const runtime::Scene& a, const runtime::Scene& b) {

@@ -2,6 +2,7 @@
 // chalk.
 #include <algorithm>
 #include <cmath>
+#include <cstdint>
 #include <cstring>
 #include <memory>
 
@@ -28,12 +29,17 @@ Image<Rgb> sloped_map() {
   return map;
 }
 
+lighting::SurfaceRoughness roughness_of(std::int64_t least_percent, std::int64_t most_percent) {
+  lighting::SurfaceRoughness out;
+  out.add_range(static_cast<float>(least_percent) / 100, static_cast<float>(most_percent) / 100);
+  return out;
+}
+
 // Of hundredths. Peer: a copy of the map.
 void reflections(benchmark::State& state) {
   const Threads threads(2);
   const Image<Rgb> map = sloped_map();
-  lighting::ReflectionFilter filter({.least = static_cast<float>(state.range(0)) / 100,
-                                     .most = static_cast<float>(state.range(1)) / 100});
+  lighting::ReflectionFilter filter(roughness_of(state.range(0), state.range(1)));
   lighting::ReflectionMap out;
   Image<Rgb> copy = map;
   compare(
@@ -47,6 +53,7 @@ BENCHMARK(reflections)
     ->Name("lighting/reflections_vs_map_copy")
     ->ArgNames({"least_roughness_percent", "most"})
     ->Args({0, 0})
+    ->Args({25, 25})
     ->Args({0, 100})
     ->Args({30, 50})
     ->Args({60, 100})
@@ -102,7 +109,9 @@ void glossy_vs_chalk(benchmark::State& state) {
   std::vector<float> relit(3 * baked.transfer.stride);
   prt::relight(baked.transfer, light, relit);
   auto map = std::make_shared<lighting::ReflectionMap>();
-  lighting::ReflectionFilter({.least = 0, .most = 1}).filter(sloped_map(), {}, RadianceSh(1), *map);
+  const bool mapped = (state.range(0) & 2) != 0;
+  lighting::ReflectionFilter(mapped ? roughness_of(10, 80) : roughness_of(40, 40))
+      .filter(sloped_map(), {}, RadianceSh(1), *map);
   std::unique_ptr<compositor::Compositor> compositors[2];
   for (int i = 0; i < 2; ++i) {
     auto made = compositor::Compositor::create(kWidth, kHeight,

@@ -10,6 +10,7 @@
 #include "compositor/composite/compositor.h"
 #include "lighting/lighting.h"
 #include "lighting/reflections/ggx.h"
+#include "lighting/reflections/octahedral_map.h"
 #include "lighting/reflections/reflection_map.h"
 #include "tests/support/scenes.h"
 
@@ -48,8 +49,10 @@ Image<Rgb> striped_map() {
 }
 
 std::shared_ptr<const ReflectionMap> reflections_of(const Image<Rgb>& map) {
+  lighting::SurfaceRoughness all;
+  all.add_range(0, 1);
   auto out = std::make_shared<ReflectionMap>();
-  lighting::ReflectionFilter({.least = 0, .most = 1}).filter(map, {}, RadianceSh(1), *out);
+  lighting::ReflectionFilter(all).filter(map, {}, RadianceSh(1), *out);
   return out;
 }
 
@@ -167,11 +170,12 @@ TEST_F(GlossyBall, PlasticIsChalkPlusItsReflection) {
     const double again = lighting::more_than_once(even.x + even.y, .04f),
                  share = (.04 * even.x + even.y) * again;
     const dvec3 r = 2 * n_dot_v * n - v;
-    const double mirrored = .3 * 6;  // level of roughness
+    const double mirrored = striped.reflections->place_of(.3f);
     const int low = int(mirrored);
     const double to_next = mirrored - low;
     const auto of = [&](int level) {
-      return sample(striped.reflections->levels[std::size_t(level)], glm::vec3(r)).g;
+      return lighting::sample_octahedral(striped.reflections->levels[std::size_t(level)].picture, r)
+          .g;
     };
     const double chalk = .2 * lighting::evaluate(e, n).g / kPi;
     const double truth =
@@ -204,6 +208,33 @@ TEST_F(GlossyBall, ALightsHighlightStandsWhereItMirrors) {
   double left = 0;
   over_ball(drawn(), [&](const dvec3&, const dvec3&, const Rgb& c) { left += c.g; });
   EXPECT_LT(left, 1e-3);
+}
+
+// The naive way shows the floor that the camera of the surroundings saw, in full light.
+TEST_F(GlossyBall, AMirrorShowsItsOwnShadowOnTheFloor) {
+  object_ = test::baked_sphere(true);
+  const RadianceSh light = even_light({1, 1, 1});
+  const Surroundings even{reflections_of(even_map({1, 1, 1})), {}, light};
+  for (const float roughness : {0.f, .5f}) {
+    compositor_ = std::move(
+        *Compositor::create(kSceneWidth, kSceneHeight, Compositor::Surface::kOffscreen, 4));
+    add({.metallic = 1, .roughness = roughness}, light, even);
+    const test::Lit shown = test::lit(object_, light);
+    double squares = 0, naive = 0;
+    int count = 0;
+    over_ball(drawn(), [&](const dvec3& n, const dvec3& v, const Rgb& c) {
+      const dvec3 r = 2 * glm::dot(n, v) * n - v, at = kCentre + kRadius * n;
+      if (r.y > -.3) return;
+      const dvec3 floor = at - r * (at.y / r.y);
+      const Rgb s =
+          shadows::ratio_at(shown.shadow, object_.receiver->grid, glm::vec2(floor.x, floor.z));
+      squares += std::pow(c.g - s.g, 2), naive += std::pow(1 - s.g, 2), ++count;
+    });
+    ASSERT_GT(count, 300);
+    // Around a rough lobe's middle the floor is not one ratio.
+    EXPECT_LT(std::sqrt(squares / count), roughness == 0 ? .05 : .15) << roughness;
+    EXPECT_GT(std::sqrt(naive / count), .2) << roughness;
+  }
 }
 
 std::shared_ptr<const prt::TexturePicture> picture_of(Image<prt::Rgba8> codes) {

@@ -3,14 +3,18 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
+#include <cstddef>
 #include <glm/geometric.hpp>
+#include <initializer_list>
+#include <string>
 
 #include "core/conventions.h"
 #include "core/environment.h"
 #include "lighting/estimate.h"
-#include "lighting/reflections/cube_map.h"
 #include "lighting/reflections/ggx.h"
+#include "lighting/reflections/octahedral_map.h"
 
 namespace penumbra::lighting {
 namespace {
@@ -30,7 +34,19 @@ Image<Rgb> make_room(int width, int height) {
   return map;
 }
 
-ReflectionMap filtered(const Image<Rgb>& map, const RoughnessRange& asked) {
+SurfaceRoughness single(std::initializer_list<float> roughness) {
+  SurfaceRoughness out;
+  for (const float r : roughness) out.add(r);
+  return out;
+}
+
+SurfaceRoughness range(float least, float most) {
+  SurfaceRoughness out;
+  out.add_range(least, most);
+  return out;
+}
+
+ReflectionMap filtered(const Image<Rgb>& map, const SurfaceRoughness& asked) {
   ReflectionMap out;
   ReflectionFilter(asked).filter(map, {}, RadianceSh(1), out);
   return out;
@@ -59,15 +75,42 @@ Rgb lobe_mean(const Image<Rgb>& map, const glm::vec3& n, float roughness) {
   return {static_cast<float>(sum.x), static_cast<float>(sum.y), static_cast<float>(sum.z)};
 }
 
-TEST(CubeMaps, APlaceAndItsDirectionAreOne) {
-  for (int face = 0; face < 6; ++face)
-    for (const float s : {.01f, .3f, .77f, .99f})
-      for (const float t : {.02f, .5f, .98f}) {
-        const CubePlace at = cube_place(cube_direction(face, s, t));
-        EXPECT_EQ(at.face, face);
-        EXPECT_NEAR(at.s, s, 1e-5);
-        EXPECT_NEAR(at.t, t, 1e-5);
-      }
+TEST(OctahedralMaps, APlaceAndItsDirectionAreOne) {
+  for (const float s : {.01f, .3f, .5f, .77f, .99f})
+    for (const float t : {.02f, .45f, .6f, .98f}) {
+      const glm::vec3 d = octahedral_direction({s, t});
+      EXPECT_NEAR(glm::length(d), 1, 1e-6);
+      const glm::vec2 at = octahedral_place(d);
+      EXPECT_NEAR(at.x, s, 1e-5);
+      EXPECT_NEAR(at.y, t, 1e-5);
+    }
+  EXPECT_NEAR(octahedral_direction({.5f, .5f}).y, 1, 1e-6);
+  EXPECT_NEAR(octahedral_direction({0, 1}).y, -1, 1e-6);
+  double whole = 0;
+  for (int y = 0; y < 32; ++y)
+    for (int x = 0; x < 32; ++x)
+      whole += octahedral_solid_angle(octahedral_direction((glm::vec2(x, y) + .5f) / 32.f), 32);
+  EXPECT_NEAR(whole, 4 * kPi, .01);
+}
+
+// A smooth picture is read smoothly across the folds, up to whose very edge directions go.
+TEST(OctahedralMaps, FoldsDoNotShow) {
+  constexpr int kSize = 64;
+  Image<Rgb> picture(kSize, kSize);
+  for (int y = 0; y < kSize; ++y)
+    for (int x = 0; x < kSize; ++x) {
+      const glm::vec3 d = octahedral_direction((glm::vec2(x, y) + .5f) / float(kSize));
+      picture.at(x, y) = {2 + d.x, 2 + d.y, 2 + d.z};
+    }
+  double worst = 0;
+  for (int i = 0; i < 20'000; ++i) {
+    const double z = 1 - 2 * (i + .5) / 20'000, phi = 2.399963 * i, r = std::sqrt(1 - z * z);
+    const glm::vec3 d(r * std::cos(phi), z, r * std::sin(phi));
+    const Rgb c = sample_octahedral(picture, d);
+    worst = std::max(
+        {worst, std::abs(c.r - 2. - d.x), std::abs(c.g - 2. - d.y), std::abs(c.b - 2. - d.z)});
+  }
+  EXPECT_LT(worst, .03);
 }
 
 TEST(Ggx, HalfVectorsFollowTheDensity) {
@@ -118,23 +161,25 @@ TEST(Ggx, ReflectsWhatItsIntegralSays) {
 TEST(ReflectionMaps, EvenLightStaysEvenAtEveryRoughness) {
   Image<Rgb> even(256, 128);
   for (Rgb& p : even.pixels()) p = {.5f, 1, 2};
-  const ReflectionMap map = filtered(even, {.least = 0, .most = 1});
-  for (const CubeMap& level : map.levels)
-    for (const Image<Rgb>& face : level.faces)
-      for (const Rgb& p : face.pixels()) {
-        EXPECT_NEAR(p.r, .5, 1e-5);
-        EXPECT_NEAR(p.b, 2, 1e-5);
-      }
+  const ReflectionMap map = filtered(even, range(0, 1));
+  ASSERT_GT(map.levels.size(), 4U);
+  for (const ReflectionMap::RoughnessLevel& level : map.levels)
+    for (const Rgb& p : level.picture.pixels()) {
+      EXPECT_NEAR(p.r, .5, 1e-5);
+      EXPECT_NEAR(p.b, 2, 1e-5);
+    }
 }
 
 TEST(ReflectionMaps, AMirrorShowsTheMap) {
   const Image<Rgb> room = make_room(1024, 512);
-  const ReflectionMap map = filtered(room, {.least = 0, .most = 0});
+  const ReflectionMap map = filtered(room, single({0}));
+  ASSERT_EQ(map.levels.size(), 1U);
   double off = 0;
   int count = 0;
   for (int y = 8; y < 504; y += 7)
     for (int x = 3; x < 1024; x += 11, ++count) {
-      const Rgb shown = sample(map.levels[0], latlong_direction(x + .5, y + .5, 1024, 512));
+      const Rgb shown =
+          sample_octahedral(map.levels[0].picture, latlong_direction(x + .5, y + .5, 1024, 512));
       off += std::abs(shown.g - room.at(x, y).g) > .05 * room.at(x, y).g ? 1 : 0;
     }
   EXPECT_LT(off / count, .02);  // but for the edges of the window and the lamp
@@ -142,35 +187,93 @@ TEST(ReflectionMaps, AMirrorShowsTheMap) {
 
 TEST(ReflectionMaps, EachLevelIsTheMeanOverItsLobe) {
   const Image<Rgb> room = make_room(512, 256);
-  const ReflectionMap map = filtered(room, {.least = 0, .most = 1});
-  for (int level = 1; level < ReflectionMap::kLevels; ++level) {
+  const ReflectionMap map = filtered(room, single({.15f, .25f, .4f, .7f, 1}));
+  ASSERT_EQ(map.levels.size(), 8U);  // three with narrower lobes
+  for (const ReflectionMap::RoughnessLevel& level : map.levels) {
     double squares = 0, mean = 0;
-    int count = 0;
-    for (int face = 0; face < 6; ++face)
-      for (const float s : {.12f, .4f, .81f})
-        for (const float t : {.2f, .6f, .9f}) {
-          const CubeMap& cube = map.levels[static_cast<std::size_t>(level)];
-          const int size = cube.size(), x = static_cast<int>(s * static_cast<float>(size)),
-                    y = static_cast<int>(t * static_cast<float>(size));
-          const glm::vec3 d =
-              cube_direction(face, (static_cast<float>(x) + .5f) / static_cast<float>(size),
-                             (static_cast<float>(y) + .5f) / static_cast<float>(size));
-          const Rgb truth = lobe_mean(room, d, ReflectionMap::roughness_of(level));
-          const double error = cube.faces[static_cast<std::size_t>(face)].at(x, y).g - truth.g;
-          squares += error * error, mean += truth.g, ++count;
-        }
-    RecordProperty("relative_rms_" + std::to_string(level),
-                   std::to_string(std::sqrt(squares / count) / (mean / count)));
-    EXPECT_LT(std::sqrt(squares / count), .07 * mean / count) << level;
+    constexpr int kCount = 80;
+    for (int i = 0; i < kCount; ++i) {
+      const double z = 1 - 2 * (i + .5) / kCount, phi = 2.399963 * i, r = std::sqrt(1 - z * z);
+      const glm::vec3 d(r * std::cos(phi), z, r * std::sin(phi));
+      const Rgb truth = lobe_mean(room, d, level.roughness);
+      const double error = sample_octahedral(level.picture, d).g - truth.g;
+      squares += error * error, mean += truth.g / kCount;
+    }
+    const double error = std::sqrt(squares / kCount) / mean;
+    RecordProperty("relative_rms_percent_" + std::to_string(level.roughness),
+                   std::to_string(100 * error));
+    EXPECT_LT(error, .05) << level.roughness;
   }
 }
 
-TEST(ReflectionMaps, WhatNobodyAskedForIsNotMade) {
-  const ReflectionMap map = filtered(make_room(256, 128), {.least = .6f, .most = .6f});
-  EXPECT_TRUE(map.levels[2].empty());
-  EXPECT_EQ(map.levels[3].size(), 32);
-  EXPECT_EQ(map.levels[4].size(), 16);
-  EXPECT_TRUE(map.levels[5].empty());
+// The naive way, even steps of roughness, mixes a lamp's sharp picture with a blurred one.
+TEST(ReflectionMaps, ARoughnessOfItsOwnHasItsOwnLevelAndPicturesHaveCloseOnes) {
+  const Image<Rgb> room = make_room(512, 256);
+  const glm::vec3 lamp = glm::normalize(glm::vec3(-1, 2, 1));
+  const auto error_of = [&](const ReflectionMap& map, float roughness) {
+    const float place = map.place_of(roughness);
+    const auto low = std::min(std::size_t(place), map.levels.size() - 1),
+               high = std::min(low + 1, map.levels.size() - 1);
+    const auto t = place - float(low);
+    const Rgb shown = sample_octahedral(map.levels[low].picture, lamp) * (1 - t) +
+                      sample_octahedral(map.levels[high].picture, lamp) * t;
+    return std::abs(shown.g / lobe_mean(room, lamp, roughness).g - 1);
+  };
+  EXPECT_LT(error_of(filtered(room, single({.23f, .6f})), .23f), .03);
+  const ReflectionMap steps = filtered(room, range(.1f, .8f)),
+                      naive = filtered(room, single({1.f / 6, 2.f / 6}));
+  for (const float r : {.2f, .23f, .3f, .45f}) EXPECT_LT(error_of(steps, r), .08) << r;
+  EXPECT_GT(error_of(naive, .23f), .08);
+}
+
+// A lamp of a thousand times the room's radiance: samples of a lobe find it or not.
+TEST(ReflectionMaps, ASmallLampIsAsBrightAsItsLobeSays) {
+  Image<Rgb> room = make_room(1024, 512);
+  const glm::dvec3 lamp = glm::normalize(glm::dvec3(.3, .5, -.8));
+  for (int y = 0; y < 512; ++y)
+    for (int x = 0; x < 1024; ++x)
+      if (glm::dot(latlong_direction(x + .5, y + .5, 1024, 512), lamp) > std::cos(.008))
+        room.at(x, y) = {900, 900, 900};
+  const ReflectionMap map = filtered(room, single({.2f, .25f, .6f}));
+  for (const ReflectionMap::RoughnessLevel& level : map.levels)
+    for (const double off : {0., .5, 1., 2.}) {  // in widths of the lobe
+      const double angle = off * level.roughness * level.roughness;
+      const glm::vec3 d(glm::normalize(std::cos(angle) * lamp +
+                                       std::sin(angle) * glm::dvec3(.8, 0, .3) / std::sqrt(.73)));
+      const double truth = lobe_mean(room, d, level.roughness).g;
+      EXPECT_NEAR(sample_octahedral(level.picture, d).g, truth, .1 * truth)
+          << level.roughness << ' ' << off;
+    }
+}
+
+TEST(ReflectionMaps, AreAsFewAndAsSmallAsTheSurfacesAsk) {
+  const auto levels = [](const SurfaceRoughness& r) { return r.levels(); };
+  EXPECT_TRUE(SurfaceRoughness().empty());
+  EXPECT_EQ(levels(single({.2f, .2f, .2005f})).size(), 1U);
+  EXPECT_EQ(levels(single({.5f})).size(), 2U);            // and a narrower lobe
+  EXPECT_EQ(levels(single({0, .03f, .05f})).size(), 1U);  // all are mirrors
+  EXPECT_EQ(levels(range(.2f, .2f)).size(), 1U);
+  EXPECT_LE(levels(range(.4f, .6f)).size(), 5U);
+  SurfaceRoughness many;
+  for (int i = 0; i <= 20; ++i) many.add(.05f * float(i));
+  many.add_range(.3f, .9f);
+  for (const SurfaceRoughness& r : {many, range(0, 1)}) {
+    EXPECT_LE(levels(r).size(), ReflectionMap::kMaxLevels);
+    EXPECT_TRUE(std::ranges::is_sorted(levels(r)));
+    EXPECT_NEAR(levels(r).back(), 1, 1e-3);
+  }
+  const ReflectionMap map = filtered(make_room(256, 128), single({.2f, 1}));
+  ASSERT_EQ(map.levels.size(), 3U);
+  EXPECT_EQ(map.levels[0].picture.width(), 160);
+  EXPECT_EQ(map.levels[2].picture.width(), 10);
+}
+
+TEST(ReflectionMaps, WhatIsBrighterThanHalfPrecisionStaysFinite) {
+  Image<Rgb> map(256, 128);
+  std::ranges::fill(map.pixels(), Rgb{1e6f, 1, 0});
+  const ReflectionMap out = filtered(map, single({0, .5f}));
+  for (const ReflectionMap::RoughnessLevel& level : out.levels)
+    for (const Rgb& p : level.picture.pixels()) ASSERT_LT(p.r, 65'504);
 }
 
 TEST(ReflectionMaps, WhatWasNotSeenShowsTheLightThere) {
@@ -181,9 +284,9 @@ TEST(ReflectionMaps, WhatWasNotSeenShowsTheLightThere) {
   RadianceSh light(1);
   light[0] = Rgb{.5f, .5f, .5f} * static_cast<float>(std::sqrt(4 * kPi));
   ReflectionMap out;
-  ReflectionFilter({.least = 0, .most = 0}).filter(map, confidence, light, out);
-  EXPECT_NEAR(sample(out.levels[0], {0, 1, 0}).g, 1, 1e-5);
-  EXPECT_NEAR(sample(out.levels[0], {0, -1, 0}).g, .5, 1e-5);
+  ReflectionFilter(single({0})).filter(map, confidence, light, out);
+  EXPECT_NEAR(sample_octahedral(out.levels[0].picture, {0, 1, 0}).g, 1, 1e-5);
+  EXPECT_NEAR(sample_octahedral(out.levels[0].picture, {0, -1, 0}).g, .5, 1e-5);
 }
 
 // A sun over stripes that are finer than a block of the map.
@@ -203,14 +306,14 @@ Environment sun_over_stripes() {
 TEST(ReflectionMaps, LightThatIsReadInBlocksIsMirroredByPixels) {
   for (const int step : {1, kMapBlock}) {
     LightEstimator estimator({.bands = 3, .filter = false, .map_step = step});
-    estimator.mirror({.least = 0, .most = 0});
+    estimator.mirror(single({0}));
     const auto light = estimator.estimate(sun_over_stripes());
     ASSERT_TRUE(light);
     ASSERT_TRUE(light->reflections);
     float dark = 10, bright = 0;
     for (int x = 500; x < 520; ++x) {
-      const Rgb c = sample(light->reflections->levels[0],
-                           glm::vec3(latlong_direction(x + .5, 256.5, 1024, 512)));
+      const Rgb c = sample_octahedral(light->reflections->levels[0].picture,
+                                      latlong_direction(x + .5, 256.5, 1024, 512));
       dark = std::min(dark, c.g), bright = std::max(bright, c.g);
     }
     EXPECT_LT(dark, .8f) << step;
@@ -221,13 +324,12 @@ TEST(ReflectionMaps, LightThatIsReadInBlocksIsMirroredByPixels) {
 TEST(ReflectionMaps, WhatIsMirroredApartIsNotInThem) {
   for (const int step : {1, kMapBlock}) {
     LightEstimator estimator({.bands = 3, .filter = false, .map_step = step});
-    estimator.mirror({.least = 0, .most = .5f});
+    estimator.mirror(single({0, .5f}));
     const auto light = estimator.estimate(sun_over_stripes());
     ASSERT_TRUE(light);
     ASSERT_EQ(lights_apart(light->lights).size(), 1U) << step;
-    for (const CubeMap& level : light->reflections->levels)
-      for (const Image<Rgb>& face : level.faces)
-        for (const Rgb& p : face.pixels()) EXPECT_LT(p.g, 20) << step;
+    for (const ReflectionMap::RoughnessLevel& level : light->reflections->levels)
+      for (const Rgb& p : level.picture.pixels()) EXPECT_LT(p.g, 20) << step;
   }
 }
 

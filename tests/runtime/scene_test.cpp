@@ -2,6 +2,7 @@
 #include "prt/prt.h"
 #include "shadows/shadows.h"
 
+#include <fmt/format.h>
 #include <gtest/gtest.h>
 
 #include <cstdlib>
@@ -51,6 +52,7 @@ SceneObject placed_object() {
   o.rotation = glm::angleAxis(.7, glm::normalize(glm::dvec3(1, 2, 3)));
   o.scale = .0371;
   o.spin_rpm = -12.5;
+  o.max_vertices = 5000;
   o.visible = false;
   return o;
 }
@@ -72,6 +74,7 @@ void expect_same(const SceneObject& a, const SceneObject& b) {
   EXPECT_EQ(a.albedo, b.albedo);
   expect_same_placement(a, b);
   EXPECT_EQ(a.spin_rpm, b.spin_rpm);
+  EXPECT_EQ(a.max_vertices, b.max_vertices);
   EXPECT_EQ(a.visible, b.visible);
 }
 
@@ -514,6 +517,42 @@ TEST_F(OneBake, ServesCopiesWhichShareItsMemory) {
     EXPECT_TRUE(o.baked.visibility.open.shares(first.visibility.open));
     EXPECT_EQ(o.baked.receiver->albedo, (Rgb{.4f, .4f, .4f}));
   }
+}
+
+// A mesh of more vertices than are lit is drawn in full, wherever it stands, and so is the truth's.
+TEST_F(OneBake, AMeshOfManyVerticesIsLitAtFew) {
+  const test::TempFolder folder;
+  const prt::Mesh ball = prt::make_sphere({0, .2f, 0}, .2f, 5, {.7f, .7f, .7f});
+  std::string obj;
+  for (const glm::vec3& p : ball.positions) obj += fmt::format("v {} {} {}\n", p.x, p.y, p.z);
+  for (const auto& t : ball.triangles)
+    obj += fmt::format("f {} {} {}\n", t[0] + 1, t[1] + 1, t[2] + 1);
+  std::ofstream(folder.path() / "ball.obj") << obj;
+  SceneObject o;
+  o.asset = (folder.path() / "ball.obj").string();
+  o.name = "ball";
+  o.max_vertices = 2000;
+  o.rotation = glm::angleAxis(.5, glm::normalize(glm::dvec3(1, .3, 0)));
+  o.place_on_floor = true;
+  o.position = {1, 0, 2};
+  o.fit_size_m = .8;
+  Scene scene{{o}, {}};
+  scene.real.push_back(floor_of({.4f, .4f, .4f}, {0, 1, 0}));
+  const PreparedScene out = prepared(scene);
+  ASSERT_EQ(out.objects.size(), 1U);
+  const prt::BakedObject& baked = out.objects[0].baked;
+  ASSERT_TRUE(baked.fine);
+  EXPECT_LT(baked.mesh.positions.size(), 4000U);
+  EXPECT_EQ(baked.fine->mesh.triangles.size(), ball.triangles.size());
+  const prt::Mesh world = world_mesh(out, true);
+  EXPECT_EQ(world.triangles.size(), ball.triangles.size());
+  const prt::Bounds b = bounds_of(world);
+  EXPECT_NEAR(b.low.y, 0, 2e-3);
+  EXPECT_NEAR(b.high.y, .8, 4e-3);
+  EXPECT_NEAR(b.centre().x, 1, 2e-3);
+  // Both forms are in one frame.
+  const prt::Bounds coarse = bounds_of(baked.mesh), fine = bounds_of(baked.fine->mesh);
+  EXPECT_NEAR(glm::length(coarse.centre() - fine.centre()), 0, .01);
 }
 
 // Every vertex stands where the scene file says, whatever its bake was made of.

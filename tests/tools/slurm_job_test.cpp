@@ -49,7 +49,7 @@ class SlurmJob : public ::testing::Test {
     program("sbatch",
             "[[ $1 == --version ]] && exit\ncat >/dev/null\n"
             "what=merge; [[ $* == *--array* ]] && what=array && echo >>submissions\n"
-            "n=$(wc -l <submissions)\n" +
+            "n=$(wc -l <submissions)\nprintf '%s ' \"$@\" >>\"asked-$n\"\n" +
                 text + "\necho $((n * 10))");
   }
   Result<SlurmOutcome> run() {
@@ -119,7 +119,8 @@ TEST_F(SlurmJob, TheProgramsOwnRefusalIsTheErrorAtOnce) {
 TEST_F(SlurmJob, ItWaitsWhileJobsAreLeftOrSlurmIsSilent) {
   on_submit("[[ $what == array ]] && touch one two");
   program("squeue",
-          "echo >>asked; case $(wc -l <asked) in 1) echo 'PENDING Resources';; 2) echo 'RUNNING "
+          "[[ $* == *--me* ]] && exit\necho >>asked; case $(wc -l <asked) in 1) echo 'PENDING "
+          "Resources';; 2) echo 'RUNNING "
           "None';;\n3) echo 'Unable to contact slurm controller' >&2; exit 1;; 4) echo 'RUNNING "
           "None'; echo new >clip.shlm;;\n5) echo 'slurm_load_jobs error: Invalid job id specified' "
           ">&2; exit 1;; esac");
@@ -136,6 +137,40 @@ TEST_F(SlurmJob, WhatSomebodyCancelsIsNotSubmittedAgain) {
   ASSERT_FALSE(outcome);
   EXPECT_EQ(outcome.error().code, ErrorCode::kUnavailable);
   EXPECT_THAT(outcome.error().detail, HasSubstr("job 10 was cancelled"));
+  EXPECT_EQ(read_text(folder_.path() / "submissions"), "\n");
+}
+
+// The naive way asks for as little again, and loses the same shards three times.
+TEST_F(SlurmJob, WhatWasShortIsAskedForTwice) {
+  plan_.stages[0].bytes = std::uint64_t{700} << 20;
+  plan_.stages[0].seconds = 1200;
+  on_submit(
+      "[[ $what == array ]] && { touch one; ((n < 2)) || touch two; }\n"
+      "[[ $what == merge && -e two ]] && echo new >clip.shlm");
+  program("squeue",
+          "[[ $* == *--states=all* ]] && printf '10 OUT_OF_MEMORY\\n10 TIMEOUT\\n'; exit 0");
+  const auto outcome = run();
+  ASSERT_TRUE(outcome) << outcome.error().detail;
+  const auto first = read_text(folder_.path() / "asked-1"),
+             second = read_text(folder_.path() / "asked-2");
+  ASSERT_TRUE(first && second);
+  EXPECT_THAT(*first, HasSubstr("--time=20 --mem=700M"));
+  EXPECT_THAT(*second, HasSubstr("--time=40 --mem=1400M"));
+  EXPECT_THAT(log_, ::testing::Contains(HasSubstr("twice the memory")));
+}
+
+TEST_F(SlurmJob, NothingIsSubmittedBesideJobsOfAnEarlierWait) {
+  on_submit("[[ $what == array ]] && touch one two || echo new >clip.shlm");
+  program("squeue", "[[ $* == *--me* ]] && printf '7|/elsewhere|clip.shlm shards\\n8|" +
+                        plan_.folder + "|other.shlm shards\\n'; exit 0");
+  EXPECT_TRUE(run());
+  fs::remove(folder_.path() / "clip.shlm");
+  program("squeue", "[[ $* == *--me* ]] && printf '9|" + plan_.folder + "|clip.shlm shards\\n9|" +
+                        plan_.folder + "|clip.shlm shards\\n11|" + plan_.folder +
+                        "|clip.shlm merge\\n'; exit 0");
+  const auto outcome = run();
+  ASSERT_FALSE(outcome);
+  EXPECT_THAT(outcome.error().detail, HasSubstr("scancel 9 11"));
   EXPECT_EQ(read_text(folder_.path() / "submissions"), "\n");
 }
 

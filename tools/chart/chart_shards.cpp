@@ -92,14 +92,14 @@ ChartPoint point_of(const Json& row) {
 
 using Cases = std::vector<std::vector<ChartPoint>>;
 
-Result<Cases> read_shard_file(const std::filesystem::path& path, const std::string& key,
-                              ShardChoice shard, std::size_t cases) {
-  std::error_code ignored;
-  if (!std::filesystem::exists(path, ignored))
-    return fail(ErrorCode::kNotFound, path.string(), "is missing: chart this shard first");
+std::unexpected<Error> not_whole(const std::filesystem::path& path) {
+  return fail(ErrorCode::kUnreadable, path.string(), "is not a whole shard of a chart");
+}
+
+// The cases that are in it, which may be fewer than all.
+Result<Cases> read_cases(const std::filesystem::path& path, const std::string& key,
+                         ShardChoice shard) {
   PENUMBRA_ASSIGN(text, read_text(path));
-  const auto not_whole =
-      fail(ErrorCode::kUnreadable, path.string(), "is not a whole shard of a chart");
   try {
     const Json file = Json::parse(text);
     if (file.at("chart").get<std::string>() != key || file.at("shard").get<int>() != shard.index ||
@@ -112,10 +112,20 @@ Result<Cases> read_shard_file(const std::filesystem::path& path, const std::stri
       out.emplace_back();
       for (const Json& row : rows) out.back().push_back(point_of(row));
     }
-    return out.size() == cases ? Result<Cases>(std::move(out)) : not_whole;
+    return out;
   } catch (const Json::exception&) {
-    return not_whole;
+    return not_whole(path);
   }
+}
+
+Result<Cases> read_shard_file(const std::filesystem::path& path, const std::string& key,
+                              ShardChoice shard, std::size_t cases) {
+  std::error_code ignored;
+  if (!std::filesystem::exists(path, ignored))
+    return fail(ErrorCode::kNotFound, path.string(), "is missing: chart this shard first");
+  PENUMBRA_ASSIGN(out, read_cases(path, key, shard));
+  if (out.size() != cases) return not_whole(path);
+  return out;
 }
 
 // Of so many cases in all.
@@ -138,15 +148,22 @@ Result<std::string> chart_shard(const ChartOptions& o, std::span<const std::stri
   ChartOptions silent = o;
   silent.json = true;
   const auto measure_into = [&](const std::filesystem::path& path) -> Result<void> {
-    Json cases = Json::array();
-    for (auto i = static_cast<std::size_t>(shard.index); i < all;
-         i += static_cast<std::size_t>(shard.count)) {
+    Json file = {
+        {"chart", key}, {"shard", shard.index}, {"shards", shard.count}, {"cases", Json::array()}};
+    // An attempt that was ended left whole cases.
+    std::error_code ignored;
+    if (std::filesystem::exists(path, ignored))
+      if (const auto done = read_cases(path, key, shard))
+        for (const std::vector<ChartPoint>& points : *done)
+          file["cases"].push_back(chart_json(points));
+    while (file["cases"].size() < cases_of(shard, all)) {
+      const std::size_t i = static_cast<std::size_t>(shard.index) +
+                            file["cases"].size() * static_cast<std::size_t>(shard.count);
       PENUMBRA_ASSIGN(points, chart_lights(silent, assets.subspan(i / environments.size(), 1),
                                            environments.subspan(i % environments.size(), 1)));
-      cases.push_back(chart_json(points));
+      file["cases"].push_back(chart_json(points));
+      PENUMBRA_TRY(write_bytes(path, file.dump()));
     }
-    const Json file = {
-        {"chart", key}, {"shard", shard.index}, {"shards", shard.count}, {"cases", cases}};
     return write_bytes(path, file.dump());
   };
   const auto is_whole = [&](const std::filesystem::path& path) -> Result<bool> {

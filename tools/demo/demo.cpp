@@ -128,7 +128,10 @@ PipelineOptions pipeline_options(const DemoOptions& o) {
   // A first picture in seconds; what moves at camera rate wants all rays that a bake can have.
   const auto coarse = runtime::BakeSettings::coarse();
   if (!o.fine && !o.live) options.bake = coarse;
-  if (!o.fine) options.bake.max_edge_fraction = coarse.max_edge_fraction;
+  if (!o.fine) {
+    options.bake.max_edge_fraction = coarse.max_edge_fraction;
+    options.bake.max_vertices = coarse.max_vertices;
+  }
   return options;
 }
 

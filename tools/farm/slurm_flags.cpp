@@ -3,6 +3,7 @@
 #include <fmt/format.h>
 #include <CLI/CLI.hpp>
 
+#include <cstdint>
 #include <filesystem>
 
 #include "tools/common/arguments.h"
@@ -31,6 +32,18 @@ CLI::Option* add_slurm_flags(CLI::App& command, SlurmFlags& flags, const std::st
       ->needs(slurm)
       ->group(kGroup);
   command
+      .add_option("--memory", flags.memory_mb,
+                  "Memory of each job in MB, 1 to 16777216; by default by the estimate")
+      ->check(within(1, 1 << 24))
+      ->needs(slurm)
+      ->group(kGroup);
+  command
+      .add_option("--time", flags.minutes,
+                  "Time of each job in minutes, 1 to 525600; by default by the estimate")
+      ->check(within(1, 525'600))
+      ->needs(slurm)
+      ->group(kGroup);
+  command
       .add_flag("--print", flags.print,
                 "Print the script that would be submitted, and submit nothing")
       ->needs(slurm)
@@ -50,8 +63,12 @@ Result<SlurmPlan> begin_plan(const std::string& output, const SlurmFlags& flags)
   return out;
 }
 
-Result<void> print_or_run(const SlurmPlan& plan, const SlurmFiles& files, const SlurmFlags& flags,
+Result<void> print_or_run(SlurmPlan plan, const SlurmFiles& files, const SlurmFlags& flags,
                           bool json) {
+  for (SlurmStage& stage : plan.stages) {
+    if (flags.memory_mb > 0) stage.bytes = static_cast<std::uint64_t>(flags.memory_mb) << 20;
+    if (flags.minutes > 0) stage.seconds = 60. * flags.minutes;
+  }
   if (flags.print) {
     PENUMBRA_ASSIGN(script, slurm_script(plan));
     fmt::print("{}", script);

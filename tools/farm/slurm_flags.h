@@ -19,6 +19,8 @@ struct SlurmFlags {
   bool slurm = false, print = false;
   int shards = 0;  // 0: by the estimate
   int cores = 4;   // of each task
+  // Asked for, of each task; 0: by the estimate
+  int memory_mb = 0, minutes = 0;
 };
 
 /// --slurm and what needs it; the option --slurm comes back. by_default: of --shards.
@@ -28,9 +30,10 @@ CLI::Option* add_slurm_flags(CLI::App& command, SlurmFlags& flags, const std::st
 /// errors: kUnavailable (the machine does not tell)
 Result<SlurmPlan> begin_plan(const std::string& output, const SlurmFlags& flags);
 
-/// Prints the script, or runs it and tells what became of it.
+/// Prints the script, or runs it and tells what became of it. Memory and time are the flags' where
+/// those say some.
 /// errors: as slurm_script and run_on_slurm
-Result<void> print_or_run(const SlurmPlan& plan, const SlurmFiles& files, const SlurmFlags& flags,
+Result<void> print_or_run(SlurmPlan plan, const SlurmFiles& files, const SlurmFlags& flags,
                           bool json);
 
 /// Tells the file that a shard has made.

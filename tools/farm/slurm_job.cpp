@@ -77,6 +77,41 @@ Result<std::vector<std::string>> submit(const SlurmPlan& plan) {
   return jobs;
 }
 
+// An interrupted wait leaves its jobs: a second submission would bake everything twice.
+Result<void> check_queue(const SlurmPlan& plan) {
+  const auto answer = run_child({"squeue", "--me", "--noheader", "--format=%F|%Z|%j"});
+  if (!answer || answer->status != 0) return {};
+  std::vector<std::string> jobs;
+  std::istringstream lines(answer->output);
+  for (std::string line; std::getline(lines, line);) {
+    const std::size_t bar = line.find('|');
+    if (bar == std::string::npos) continue;
+    const std::string job = line.substr(0, bar);
+    if (line.substr(bar + 1).starts_with(plan.folder + "|" + plan.title + " ") &&
+        std::ranges::find(jobs, job) == jobs.end())
+      jobs.push_back(job);
+  }
+  if (jobs.empty()) return {};
+  return fail(ErrorCode::kUnavailable, plan.title,
+              fmt::format("has jobs of an earlier submission in the queue: wait for their end, or "
+                          "scancel {}",
+                          fmt::join(jobs, " ")));
+}
+
+// What the jobs of a submission had too little of.
+struct Shortage {
+  bool time = false, memory = false;
+};
+
+void ask_for_more(const Shortage& shortage, SlurmPlan& plan) {
+  for (SlurmStage& stage : plan.stages) {
+    if (shortage.time) stage.seconds *= 2;
+    if (shortage.memory) stage.bytes *= 2;
+  }
+  if (shortage.time) log_warning("{}: asks for twice the time", plan.title);
+  if (shortage.memory) log_warning("{}: asks for twice the memory", plan.title);
+}
+
 class SlurmWatch {
  public:
   SlurmWatch(const SlurmPlan& plan, const SlurmFiles& files, const SlurmWait& wait)
@@ -94,11 +129,12 @@ class SlurmWatch {
     }
   }
   /// Where the last job ended well, waits for its output: shared folders may show it late.
-  Result<void> settle(const std::vector<std::string>& jobs) const;
+  Result<void> settle(const std::vector<std::string>& jobs);
   bool is_done() const { return state_of(files_.output) != before_ && is_there(files_.output); }
   /// Why the output is not there; nothing where submitting again may help.
   Result<void> find_fault() const;
   std::string missing() const;
+  Shortage shortage() const { return shortage_; }
 
  private:
   Result<bool> jobs_left(const std::vector<std::string>& jobs);
@@ -111,6 +147,7 @@ class SlurmWatch {
   Clock::time_point answered_, began_;
   bool told_ = false, silent_ = false;
   std::size_t stage_ = 0;
+  Shortage shortage_;
 };
 
 Result<bool> SlurmWatch::jobs_left(const std::vector<std::string>& jobs) {
@@ -138,7 +175,7 @@ Result<bool> SlurmWatch::jobs_left(const std::vector<std::string>& jobs) {
   return !lines.empty();
 }
 
-Result<void> SlurmWatch::settle(const std::vector<std::string>& jobs) const {
+Result<void> SlurmWatch::settle(const std::vector<std::string>& jobs) {
   if (is_done()) return {};
   PENUMBRA_ASSIGN(answer, run_child({"squeue", "--noheader", "--states=all", "--format=%F %T",
                                      "--jobs", fmt::format("{}", fmt::join(jobs, ","))}));
@@ -149,6 +186,8 @@ Result<void> SlurmWatch::settle(const std::vector<std::string>& jobs) const {
       return fail(ErrorCode::kUnavailable, plan_.title,
                   fmt::format("job {} was cancelled; shards that are done are kept", job));
     ended_well |= job == jobs.back() && state == "COMPLETED";
+    shortage_.time |= state == "TIMEOUT";
+    shortage_.memory |= state == "OUT_OF_MEMORY";
   }
   const auto until = Clock::now() + wait_.lateness;
   while (ended_well && !is_done() && Clock::now() < until)
@@ -215,11 +254,13 @@ std::string refusal_in(const std::string& log) {
 Result<SlurmOutcome> run_on_slurm(const SlurmPlan& plan, const SlurmFiles& files,
                                   const SlurmWait& wait) {
   SlurmOutcome out;
+  SlurmPlan asked = plan;
   const auto start = Clock::now();
+  PENUMBRA_TRY(check_queue(plan));
   while (true) {
     SlurmWatch watch(plan, files, wait);
     remove_logs(plan);
-    PENUMBRA_ASSIGN(jobs, submit(plan));
+    PENUMBRA_ASSIGN(jobs, submit(asked));
     out.jobs = jobs;
     ++out.submissions;
     log_info("{}: submitted as jobs {}; an interrupt ends the wait alone, scancel {} the jobs",
@@ -233,6 +274,7 @@ Result<SlurmOutcome> run_on_slurm(const SlurmPlan& plan, const SlurmFiles& files
                   fmt::format("was submitted {} times, and still lacks {}; logs are in {}",
                               out.submissions, watch.missing(), plan.logs));
     log_warning("{}: jobs ended without {}: submitted again", plan.title, watch.missing());
+    ask_for_more(watch.shortage(), asked);
   }
   out.seconds = std::chrono::duration<double>(Clock::now() - start).count();
   remove_logs(plan);

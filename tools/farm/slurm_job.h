@@ -34,10 +34,12 @@ struct SlurmWait {
 
 /// Submits and waits until the output is new. Jobs that a machine's end stops are requeued by Slurm
 /// itself; shards that are missing when all jobs have ended are submitted again, unless somebody
-/// cancelled a job. Where the program refused its work, its own line is the error. An interrupt
-/// ends the wait, not the jobs.
-/// errors: kUnavailable (no Slurm, no answer for ten minutes, sbatch refused, shards lost too
-///         often, cancelled), kInvalid (of slurm_script; the program refused)
+/// cancelled a job, with twice the time or memory where that was short. Where the program refused
+/// its work, its own line is the error. An interrupt ends the wait, not the jobs; while those are
+/// in the queue nothing is submitted anew.
+/// errors: kUnavailable (no Slurm, no answer for ten minutes, sbatch refused, jobs of an earlier
+///         submission, shards lost too often, cancelled), kInvalid (of slurm_script; the program
+///         refused)
 Result<SlurmOutcome> run_on_slurm(const SlurmPlan& plan, const SlurmFiles& files,
                                   const SlurmWait& wait);
 

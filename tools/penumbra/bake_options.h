@@ -14,7 +14,7 @@ namespace penumbra::tools {
 
 struct BakeCommandOptions {
   std::string asset, output;
-  int bands = 5, bounces = 4, samples = 1024;
+  int bands = 5, bounces = 4, samples = 1024, max_vertices = 100'000;
   std::vector<double> albedo{.7, .7, .7};
   double receiver_albedo = 0;
   bool json = false;

@@ -1,9 +1,11 @@
 #include <fmt/format.h>
 #include <CLI/CLI.hpp>
 
+#include <cstddef>
 #include <filesystem>
 
 #include "core/io/files.h"
+#include "core/io/log.h"
 #include "prt/bake/bake.h"
 #include "prt/bake/baked_file.h"
 #include "prt/clip/sequence.h"
@@ -42,7 +44,13 @@ Result<void> bake(const BakeCommandOptions& o) {
     return fail(ErrorCode::kInvalid, "--bounces",
                 fmt::format("{} is not within 0..{}", o.bounces, prt::kMaxBounces));
   PENUMBRA_TRY(check_writable(o.output));
-  PENUMBRA_ASSIGN(asset, runtime::load_asset(o.asset, albedo_of(o), .04f));
+  PENUMBRA_ASSIGN(asset, runtime::load_asset(o.asset, albedo_of(o), .04f,
+                                             static_cast<std::size_t>(o.max_vertices)));
+  if (asset.fine)
+    log_warning(
+        "{}: {} of {} vertices are baked, and the file shows those: a scene draws the asset "
+        "in full",
+        o.asset, asset.mesh.positions.size(), asset.fine->mesh.positions.size());
   prt::Mesh& mesh = asset.mesh;
   prt::BakeOptions options;
   options.bands = o.bands;
@@ -104,6 +112,10 @@ void add_bake(CLI::App& parent, Action& action) {
       ->capture_default_str();
   c->add_option("--samples", bake_options.samples, "Number of rays per vertex, a multiple of 64")
       ->capture_default_str();
+  c->add_option("--max-vertices", bake_options.max_vertices,
+                "Number of vertices from which on a mesh is simplified")
+      ->capture_default_str()
+      ->check(within(1'000, 10'000'000));
   c->add_option("--albedo", bake_options.albedo,
                 "Albedo R G B, each 0 to 1, where the asset has no material")
       ->expected(3)

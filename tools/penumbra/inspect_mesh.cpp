@@ -1,6 +1,5 @@
 #include "tools/penumbra/inspect_mesh.h"
 
-#include <algorithm>
 #include <set>
 #include <utility>
 
@@ -14,9 +13,6 @@ namespace penumbra::tools {
 namespace {
 
 using nlohmann::json;
-
-// glTF is in metres. Exporters that forget it write centimetres or millimetres.
-constexpr float kLikelyCentimetres = 20, kLikelyMillimetres = 2000;  // of the largest extent
 
 std::string kind_of(const prt::Material& m) {
   if (m.unlit) return "unlit";
@@ -89,9 +85,8 @@ Result<json> inspect_mesh(const std::string& file) {
            {"extensions", imported.extensions},
            {"left_out", imported.left_out},
            {"clips", json::array()}};
-  const float largest = std::max({size.x, size.y, size.z});
-  if (largest > kLikelyCentimetres)
-    out["likely_unit"] = largest > kLikelyMillimetres ? "millimetres" : "centimetres";
+  if (const float unit = prt::likely_unit_m(imported.mesh); unit < 1)
+    out["likely_unit"] = unit < .01f ? "millimetres" : "centimetres";
   if (imported.surface) {
     for (const prt::Material& m : imported.surface->materials)
       out["materials"].push_back(to_json(m));
