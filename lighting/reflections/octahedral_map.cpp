@@ -34,13 +34,6 @@ glm::ivec2 octahedral_texel(int x, int y, int size) {
   return {x, y};
 }
 
-// On the octahedron |x| + |y| + |z| = 1 a place at distance r spans dx dz / r^3.
-float octahedral_solid_angle(const glm::vec3& d, int size) {
-  const float sum = std::abs(d.x) + std::abs(d.y) + std::abs(d.z),
-              side = 2 / static_cast<float>(size);
-  return side * side * sum * sum * sum;
-}
-
 Rgb sample_octahedral(const Image<Rgb>& picture, const glm::vec3& direction) {
   const int size = picture.width();
   const glm::vec2 at = octahedral_place(direction) * static_cast<float>(size) - .5f;

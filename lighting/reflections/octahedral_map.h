@@ -18,8 +18,6 @@ glm::vec3 octahedral_direction(const glm::vec2& place);
 glm::vec2 octahedral_place(const glm::vec3& direction);
 /// The texel that stands for one at most one beside the picture, where it goes on across the fold.
 glm::ivec2 octahedral_texel(int x, int y, int size);
-/// Steradians of a texel in a direction, of a picture of `size` texels a side.
-float octahedral_solid_angle(const glm::vec3& direction, int size);
 /// Between the four nearest texels, across the folds too.
 Rgb sample_octahedral(const Image<Rgb>& picture, const glm::vec3& direction);
 

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <cstddef>
 #include <glm/geometric.hpp>
+#include <utility>
 
 #include "core/conventions.h"
 #include "core/threads/parallel.h"
@@ -209,7 +210,7 @@ void ReflectionFilter::fill_base(const Image<Rgb>& map, const Image<float>& conf
       }
     }
   });
-  take_spots_out();
+  take_spots_out(map);
   for (std::size_t i = 1; i < pyramid_.size(); ++i) {
     average_blocks(pyramid_[i - 1], 2, pyramid_[i]);
     if (any_spot_) average_blocks(spots_[i - 1], 2, spots_[i]);
@@ -218,19 +219,29 @@ void ReflectionFilter::fill_base(const Image<Rgb>& map, const Image<float>& conf
 
 // A lamp that is much brighter than the rest would be found by one sample of a lobe or by none. Of
 // such places there are few: together they have less light than the map.
-void ReflectionFilter::take_spots_out() {
+void ReflectionFilter::take_spots_out(const Image<Rgb>& map) {
   constexpr float kBright = 50;  // times the mean
   double sum = 0;
   for (const Rgb& c : whole_.pixels()) sum += luminance(c);
   const float limit = kBright * static_cast<float>(sum / static_cast<double>(whole_.area()));
+  const auto rest_of = [limit](const Rgb& c) {
+    const float y = luminance(c);
+    return y > limit ? c * (limit / y) : c;
+  };
+  std::ranges::transform(whole_.pixels(), pyramid_[0].pixels().begin(), rest_of);
   any_spot_ = false;
-  const auto from = whole_.pixels();
-  const auto rest = pyramid_[0].pixels(), spots = spots_[0].pixels();
-  for (std::size_t i = 0; i < from.size(); ++i) {
-    const float y = luminance(from[i]);
-    rest[i] = y > limit ? from[i] * (limit / y) : from[i];
-    spots[i] = from[i] - rest[i];
-    any_spot_ |= y > limit;
+  for (int y = 0; y < map.height(); ++y) {
+    const auto area = static_cast<float>(latlong_solid_angle(y, map.width(), map.height()));
+    for (int x = 0; x < map.width(); ++x) {
+      const Rgb& c = map.at(x, y);
+      if (!(luminance(c) > limit)) continue;
+      if (!std::exchange(any_spot_, true)) std::ranges::fill(spots_[0].pixels(), Rgb{});
+      const glm::vec2 at =
+          octahedral_place(latlong_direction(x + .5, y + .5, map.width(), map.height())) *
+          static_cast<float>(base_);
+      spots_[0].at(std::min(static_cast<int>(at.x), base_ - 1),
+                   std::min(static_cast<int>(at.y), base_ - 1)) += (c - rest_of(c)) * area;
+    }
   }
 }
 
@@ -241,13 +252,11 @@ std::vector<ReflectionFilter::Spot> ReflectionFilter::spots_for(const LevelPlan&
   std::size_t level = 0;
   while (level + 1 < spots_.size() && spots_[level].width() > 2 * plan.size) ++level;
   const Image<Rgb>& picture = spots_[level];
+  const auto texels = static_cast<float>(std::size_t{1} << 2 * level);  // that one is the mean of
   for (int y = 0; y < picture.height(); ++y)
-    for (int x = 0; x < picture.width(); ++x) {
-      const Rgb& c = picture.at(x, y);
-      if (!(luminance(c) > 0)) continue;
-      const glm::vec3 d = texel_direction(x, y, picture.width());
-      out.push_back({d, c * octahedral_solid_angle(d, picture.width())});
-    }
+    for (int x = 0; x < picture.width(); ++x)
+      if (const Rgb& c = picture.at(x, y); luminance(c) > 0)
+        out.push_back({texel_direction(x, y, picture.width()), c * texels});
   return out;
 }
 

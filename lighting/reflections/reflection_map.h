@@ -93,7 +93,7 @@ class ReflectionFilter {
     Rgb power;  // radiance times solid angle
   };
   void fill_base(const Image<Rgb>& map, const Image<float>& confidence, const RadianceSh& unseen);
-  void take_spots_out();
+  void take_spots_out(const Image<Rgb>& map);
   std::vector<Spot> spots_for(const LevelPlan& plan) const;
   void sum_lobes(const LevelPlan& plan, Image<Rgb>& out) const;
   static std::vector<LobeSample> lobe_of(float roughness, int size, int base);

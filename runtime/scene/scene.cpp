@@ -227,9 +227,9 @@ struct CoarseMesh {
   float error;
 };
 CoarseMesh coarse_of(const LoadedAsset& asset, float edge_fraction, std::size_t max_vertices) {
-  prt::Simplified few = prt::simplify(asset.mesh, 2 * max_vertices / 3);
+  prt::Simplified few = prt::simplify(asset.mesh, max_vertices / 3);
   const auto middles =
-      prt::subdivide(few.mesh, edge_fraction * prt::radius_of(few.mesh), 4 * max_vertices);
+      prt::subdivide(few.mesh, edge_fraction * prt::radius_of(few.mesh), 2 * max_vertices);
   CoarseMesh out{std::move(few.mesh), nullptr, few.error};
   if (!asset.surface) return out;
   prt::SurfaceMaterials surface = prt::picked(*asset.surface, few.from);

@@ -86,11 +86,6 @@ TEST(OctahedralMaps, APlaceAndItsDirectionAreOne) {
     }
   EXPECT_NEAR(octahedral_direction({.5f, .5f}).y, 1, 1e-6);
   EXPECT_NEAR(octahedral_direction({0, 1}).y, -1, 1e-6);
-  double whole = 0;
-  for (int y = 0; y < 32; ++y)
-    for (int x = 0; x < 32; ++x)
-      whole += octahedral_solid_angle(octahedral_direction((glm::vec2(x, y) + .5f) / 32.f), 32);
-  EXPECT_NEAR(whole, 4 * kPi, .01);
 }
 
 // A smooth picture is read smoothly across the folds, up to whose very edge directions go.
@@ -187,8 +182,8 @@ TEST(ReflectionMaps, AMirrorShowsTheMap) {
 
 TEST(ReflectionMaps, EachLevelIsTheMeanOverItsLobe) {
   const Image<Rgb> room = make_room(512, 256);
-  const ReflectionMap map = filtered(room, single({.15f, .25f, .4f, .7f, 1}));
-  ASSERT_EQ(map.levels.size(), 8U);  // three with narrower lobes
+  const ReflectionMap map = filtered(room, single({.15f, .3f, .5f, 1}));
+  ASSERT_EQ(map.levels.size(), 7U);  // three with narrower lobes
   for (const ReflectionMap::RoughnessLevel& level : map.levels) {
     double squares = 0, mean = 0;
     constexpr int kCount = 80;
@@ -241,7 +236,7 @@ TEST(ReflectionMaps, ASmallLampIsAsBrightAsItsLobeSays) {
       const glm::vec3 d(glm::normalize(std::cos(angle) * lamp +
                                        std::sin(angle) * glm::dvec3(.8, 0, .3) / std::sqrt(.73)));
       const double truth = lobe_mean(room, d, level.roughness).g;
-      EXPECT_NEAR(sample_octahedral(level.picture, d).g, truth, .1 * truth)
+      EXPECT_NEAR(sample_octahedral(level.picture, d).g, truth, .06 * truth)
           << level.roughness << ' ' << off;
     }
 }
@@ -249,10 +244,10 @@ TEST(ReflectionMaps, ASmallLampIsAsBrightAsItsLobeSays) {
 TEST(ReflectionMaps, AreAsFewAndAsSmallAsTheSurfacesAsk) {
   const auto levels = [](const SurfaceRoughness& r) { return r.levels(); };
   EXPECT_TRUE(SurfaceRoughness().empty());
-  EXPECT_EQ(levels(single({.2f, .2f, .2005f})).size(), 1U);
+  EXPECT_EQ(levels(single({.1f, .1f, .1005f})).size(), 1U);
   EXPECT_EQ(levels(single({.5f})).size(), 2U);            // and a narrower lobe
   EXPECT_EQ(levels(single({0, .03f, .05f})).size(), 1U);  // all are mirrors
-  EXPECT_EQ(levels(range(.2f, .2f)).size(), 1U);
+  EXPECT_EQ(levels(range(.1f, .1f)).size(), 1U);
   EXPECT_LE(levels(range(.4f, .6f)).size(), 5U);
   SurfaceRoughness many;
   for (int i = 0; i <= 20; ++i) many.add(.05f * float(i));
@@ -262,9 +257,9 @@ TEST(ReflectionMaps, AreAsFewAndAsSmallAsTheSurfacesAsk) {
     EXPECT_TRUE(std::ranges::is_sorted(levels(r)));
     EXPECT_NEAR(levels(r).back(), 1, 1e-3);
   }
-  const ReflectionMap map = filtered(make_room(256, 128), single({.2f, 1}));
+  const ReflectionMap map = filtered(make_room(256, 128), single({.15f, 1}));
   ASSERT_EQ(map.levels.size(), 3U);
-  EXPECT_EQ(map.levels[0].picture.width(), 160);
+  EXPECT_EQ(map.levels[0].picture.width(), 320);
   EXPECT_EQ(map.levels[2].picture.width(), 10);
 }
 
