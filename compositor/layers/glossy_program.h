@@ -198,23 +198,19 @@ vec3 floor_towards(vec3 towards, float alpha) {
 }
 #endif
 // The mean over the lobe around a direction, seen along the normal.
-vec3 surroundings_towards(vec3 r, float place, float alpha) {
+vec3 surroundings_towards(vec3 r, float place) {
   vec2 at_place = octahedral(r);
 #ifdef BETWEEN_LEVELS
   int i = clamp(int(place), 0, level_count - 2);
-  vec3 seen = mix(on_level(at_place, i), on_level(at_place, i + 1), place - float(i));
+  return mix(on_level(at_place, i), on_level(at_place, i + 1), place - float(i));
 #else
-  vec3 seen = on_level(at_place, int(place));
+  return on_level(at_place, int(place));
 #endif
-#ifdef FLOOR
-  seen *= floor_towards(r, alpha);
-#endif
-  return seen;
 }
 #ifdef LONG_LOBE
 // Facets that lean towards the viewer, or away, by some angle turn what is mirrored by twice that,
-// those that lean aside by n.v of it: a lobe of .6 of the width stands for what they do, from two
-// places of the plane of incidence.
+// those that lean aside by n.v of it: two lobes of .6 of the width in the plane of incidence stand
+// for them.
 vec3 along_lobe(vec3 n, vec3 v, float n_dot_v, float alpha, float place, vec3 otherwise) {
   const float narrow = 0.6, lean = 0.462;  // sqrt(1 - narrow^2), half of a lobe to each side
   vec3 t = normalize(v - n * n_dot_v), sum = vec3(0);
@@ -226,7 +222,7 @@ vec3 along_lobe(vec3 n, vec3 v, float n_dot_v, float alpha, float place, vec3 ot
     float n_dot_l = dot(n, l);
     if (v_dot_h <= 0.0 || n_dot_l <= 0.0) continue;
     float weight = visibility(a2, n_dot_l, n_dot_v) * n_dot_l * v_dot_h / dot(n, h);
-    sum += weight * surroundings_towards(l, place, narrow * alpha);
+    sum += weight * on_level(octahedral(l), int(place + 0.5));
     weights += weight;
   }
   return weights > 0.0 ? sum / weights : otherwise;
@@ -296,11 +292,14 @@ void main() {
 #endif
   vec3 own = base.rgb * diffuse_light;  // what it sees of itself is lit like it
   float alpha = max(rough * rough, 1e-3);
-  vec3 around = surroundings_towards(r, at_level, alpha);
+  vec3 around = surroundings_towards(r, at_level);
 #ifdef LONG_LOBE
   float slant = 1.0 - smoothstep(0.55, 0.9, n_dot_v);
   if (slant > 0.0)
     around = mix(around, along_lobe(n, v, n_dot_v, alpha, at_long_level, around), slant);
+#endif
+#ifdef FLOOR
+  around *= floor_towards(r, alpha);
 #endif
   vec3 shown = share * mix(own, around, seen);
 #ifdef LIGHTS
@@ -317,8 +316,11 @@ void main() {
   vec2 coat_even = reflected_of_even(n_dot_v, clearcoat_roughness);
   float coat = clearcoat * (0.04 * coat_even.x + coat_even.y);
   float coat_alpha = max(clearcoat_roughness * clearcoat_roughness, 1e-3);
-  shown = shown * (1.0 - coat) +
-          coat * seen * surroundings_towards(r, clearcoat_level, coat_alpha);
+  vec3 on_coat = surroundings_towards(r, clearcoat_level);
+#ifdef FLOOR
+  on_coat *= floor_towards(r, coat_alpha);
+#endif
+  shown = shown * (1.0 - coat) + coat * seen * on_coat;
 #ifdef LIGHTS
   shown += clearcoat * mirrored_lights(n, v, n_dot_v, coat_alpha, vec3(0.04), 1.0);
 #endif

