@@ -288,6 +288,7 @@ GlossyObject Glossy::add(const prt::BakedObject& baked, const prt::Mesh& drawn,
                          const DrawnVertices& vertices,
                          std::vector<GlossyObject::Triangle>& triangles) {
   GlossyObject o;
+  o.own_vertices = baked.mesh.positions.size();
   if (baked.receiver) o.floor_grid = baked.receiver->grid;
   auto surface = std::make_shared<prt::SurfaceMaterials>(vertices.fine() ? *vertices.fine()->surface
                                                                          : *baked.surface);
@@ -343,6 +344,7 @@ void Glossy::set_shares(GlossyObject& o, std::span<const std::array<float, 4>> s
   std::vector<glm::vec4> all;
   all.reserve(o.surface->material.size());
   for (const auto& s : shares) all.emplace_back(s[0], s[1], s[2], s[3]);
+  all.resize(o.own_vertices, glm::vec4(1));
   vertices.spread(all);
   std::vector<std::array<std::uint8_t, 4>> codes(o.surface->material.size(), {255, 255, 255, 255});
   for (std::size_t i = 0; i < std::min(all.size(), codes.size()); ++i)

@@ -38,6 +38,7 @@ struct GlossyObject {
   GlBuffer attributes{}, directions{}, shares{}, sorted{};
   std::vector<Part> parts{};
   bool shows_backs = false;  // of some part
+  std::size_t own_vertices = 0;
   // The floor that it mirrors.
   std::optional<prt::GroundGrid> floor_grid{};
   GlTexture floor{};

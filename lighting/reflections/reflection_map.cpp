@@ -54,6 +54,19 @@ TangentFrame frame_around(const glm::vec3& z) {
   return {x, glm::cross(z, x), z};
 }
 
+Rgb bounded(const Rgb& c) {
+  return {std::min(c.r, kBrightest), std::min(c.g, kBrightest), std::min(c.b, kBrightest)};
+}
+
+// The sum of each four texels, times a factor.
+void halve(const Image<Rgb>& in, float factor, Image<Rgb>& out) {
+  for (int y = 0; y < out.height(); ++y)
+    for (int x = 0; x < out.width(); ++x)
+      out.at(x, y) = (in.at(2 * x, 2 * y) + in.at(2 * x + 1, 2 * y) + in.at(2 * x, 2 * y + 1) +
+                      in.at(2 * x + 1, 2 * y + 1)) *
+                     factor;
+}
+
 glm::vec3 texel_direction(int x, int y, int size) {
   return octahedral_direction((glm::vec2(x, y) + .5f) / static_cast<float>(size));
 }
@@ -151,16 +164,19 @@ std::vector<float> SurfaceRoughness::levels() const {
 
 ReflectionFilter::ReflectionFilter(const SurfaceRoughness& asked) {
   for (const float r : asked.levels()) plans_.push_back({r, size_of(r)});
-  base_ = std::min(ReflectionMap::kLargestSize, 2 * plans_.front().size);
-  for (LevelPlan& plan : plans_)
-    if (plan.roughness > kMirror) {
-      plan.lobe = lobe_of(plan.roughness, plan.size, base_);
-      plan.lobe_sum = lobe_sum_of(plan.roughness);
-    }
+  // A coarser one would read single places of the map.
+  constexpr int kSmallestBase = 160;
+  base_ = std::clamp(2 * plans_.front().size, kSmallestBase, ReflectionMap::kLargestSize);
+  for (LevelPlan& plan : plans_) {
+    any_mirror_ |= plan.roughness <= kMirror;
+    if (plan.roughness <= kMirror) continue;
+    plan.lobe = lobe_of(plan.roughness, plan.size, base_);
+    plan.lobe_sum = lobe_sum_of(plan.roughness);
+  }
   directions_.reserve(static_cast<std::size_t>(base_ * base_));
   for (int y = 0; y < base_; ++y)
     for (int x = 0; x < base_; ++x) directions_.push_back(texel_direction(x, y, base_));
-  whole_ = Image<Rgb>(base_, base_);
+  if (any_mirror_) whole_ = Image<Rgb>(base_, base_);
   for (int size = base_; size >= kSmallestSize; size /= 2) pyramid_.emplace_back(size, size);
   spots_ = pyramid_;
 }
@@ -191,7 +207,7 @@ std::vector<ReflectionFilter::LobeSample> ReflectionFilter::lobe_of(float roughn
 }
 
 void ReflectionFilter::fill_base(const Image<Rgb>& map, const Image<float>& confidence,
-                                 const RadianceSh& unseen) {
+                                 const RadianceSh& unseen, Image<Rgb>& base) {
   // A texel of the base is about as large as a pixel of a map of as many rows.
   const Image<Rgb>* from = &map;
   for (int i = 0; 2 * from->height() >= 3 * base_ && divides_into_blocks(*from, 2); i = 1 - i) {
@@ -201,7 +217,7 @@ void ReflectionFilter::fill_base(const Image<Rgb>& map, const Image<float>& conf
   const auto row_length = static_cast<std::size_t>(base_);
   parallel_for(0, base_, 16, [&](const auto& rows) {
     for (int row = rows.begin(); row < rows.end(); ++row) {
-      const auto out = whole_.row(row);
+      const auto out = base.row(row);
       for (std::size_t x = 0; x < row_length; ++x) {
         const glm::vec3& d = directions_[static_cast<std::size_t>(row) * row_length + x];
         bool seen = true;
@@ -210,58 +226,63 @@ void ReflectionFilter::fill_base(const Image<Rgb>& map, const Image<float>& conf
           seen = confidence.at(std::min(static_cast<int>(p.x), confidence.width() - 1),
                                std::min(static_cast<int>(p.y), confidence.height() - 1)) > 0;
         }
-        const Rgb c = seen ? sample_latlong(*from, d) : light_from(unseen, d);
-        out[x] = {std::min(c.r, kBrightest), std::min(c.g, kBrightest), std::min(c.b, kBrightest)};
+        out[x] = bounded(seen ? sample_latlong(*from, d) : light_from(unseen, d));
       }
     }
   });
-  take_spots_out(map);
-  for (std::size_t i = 1; i < pyramid_.size(); ++i) {
-    average_blocks(pyramid_[i - 1], 2, pyramid_[i]);
-    if (any_spot_) average_blocks(spots_[i - 1], 2, spots_[i]);
-  }
 }
 
 // A lamp that is much brighter than the rest would be found by one sample of a lobe or by none. Of
 // such places there are few: together they have less light than the map.
-void ReflectionFilter::take_spots_out(const Image<Rgb>& map) {
+const Image<Rgb>& ReflectionFilter::take_spots_out(const Image<Rgb>& map) {
   constexpr float kBright = 50;  // times the mean
-  double sum = 0;
-  for (const Rgb& c : whole_.pixels()) sum += luminance(c);
-  const float limit = kBright * static_cast<float>(sum / static_cast<double>(whole_.area()));
-  const auto rest_of = [limit](const Rgb& c) {
-    const float y = luminance(c);
-    return y > limit ? c * (limit / y) : c;
-  };
-  std::ranges::transform(whole_.pixels(), pyramid_[0].pixels().begin(), rest_of);
-  any_spot_ = false;
+  double sum = 0, areas = 0;
+  float brightest = 0;
+  for (int y = 0; y < map.height(); ++y) {
+    const double area = latlong_solid_angle(y, map.width(), map.height());
+    for (const Rgb& c : map.row(y)) {
+      sum += area * luminance(c), areas += area;
+      brightest = std::max(brightest, luminance(c));
+    }
+  }
+  const float limit = kBright * static_cast<float>(sum / areas);
+  any_spot_ = brightest > limit;
+  if (!any_spot_) return map;
+  if (!rest_.same_size(map)) rest_ = Image<Rgb>(map.width(), map.height());
+  std::ranges::fill(spots_[0].pixels(), Rgb{});
   for (int y = 0; y < map.height(); ++y) {
     const auto area = static_cast<float>(latlong_solid_angle(y, map.width(), map.height()));
     for (int x = 0; x < map.width(); ++x) {
       const Rgb& c = map.at(x, y);
-      if (!(luminance(c) > limit)) continue;
-      if (!std::exchange(any_spot_, true)) std::ranges::fill(spots_[0].pixels(), Rgb{});
+      const float bright = luminance(c);
+      rest_.at(x, y) = bright > limit ? c * (limit / bright) : c;
+      if (!(bright > limit)) continue;
       const glm::vec2 at =
           octahedral_place(latlong_direction(x + .5, y + .5, map.width(), map.height())) *
           static_cast<float>(base_);
       spots_[0].at(std::min(static_cast<int>(at.x), base_ - 1),
-                   std::min(static_cast<int>(at.y), base_ - 1)) += (c - rest_of(c)) * area;
+                   std::min(static_cast<int>(at.y), base_ - 1)) += (c - rest_.at(x, y)) * area;
     }
   }
+  return rest_;
 }
 
-// In texels of which several lie within the lobe.
+// In texels of which several lie within the lobe, and so many that they are few.
 std::vector<ReflectionFilter::Spot> ReflectionFilter::spots_for(const LevelPlan& plan) const {
+  constexpr std::ptrdiff_t kMaxSpots = 200;
   std::vector<Spot> out;
   if (!any_spot_) return out;
+  const auto is_spot = [](const Rgb& c) { return luminance(c) > 0; };
   std::size_t level = 0;
-  while (level + 1 < spots_.size() && spots_[level].width() > 2 * plan.size) ++level;
+  while (level + 1 < spots_.size() &&
+         (spots_[level].width() > 2 * plan.size ||
+          std::ranges::count_if(spots_[level].pixels(), is_spot) > kMaxSpots))
+    ++level;
   const Image<Rgb>& picture = spots_[level];
-  const auto texels = static_cast<float>(std::size_t{1} << 2 * level);  // that one is the mean of
   for (int y = 0; y < picture.height(); ++y)
     for (int x = 0; x < picture.width(); ++x)
-      if (const Rgb& c = picture.at(x, y); luminance(c) > 0)
-        out.push_back({texel_direction(x, y, picture.width()), c * texels});
+      if (const Rgb& c = picture.at(x, y); is_spot(c))
+        out.push_back({texel_direction(x, y, picture.width()), c});
   return out;
 }
 
@@ -280,14 +301,19 @@ void ReflectionFilter::sum_lobes(const LevelPlan& plan, Image<Rgb>& out) const {
           const float along = glm::dot(frame.z, s.towards);
           if (along > 0) sum += s.power * (lobe_weight(plan.roughness, along) / plan.lobe_sum);
         }
-        out.at(x, y) = sum;
+        out.at(x, y) = bounded(sum);
       }
   });
 }
 
 void ReflectionFilter::filter(const Image<Rgb>& map, const Image<float>& confidence,
                               const RadianceSh& unseen, ReflectionMap& out) {
-  fill_base(map, confidence, unseen);
+  if (any_mirror_) fill_base(map, confidence, unseen, whole_);
+  fill_base(take_spots_out(map), confidence, unseen, pyramid_[0]);
+  for (std::size_t i = 1; i < pyramid_.size(); ++i) {
+    halve(pyramid_[i - 1], .25f, pyramid_[i]);
+    if (any_spot_) halve(spots_[i - 1], 1, spots_[i]);
+  }
   out.levels.resize(plans_.size());
   for (std::size_t i = 0; i < plans_.size(); ++i) {
     ReflectionMap::RoughnessLevel& level = out.levels[i];

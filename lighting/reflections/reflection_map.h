@@ -92,8 +92,10 @@ class ReflectionFilter {
     glm::vec3 towards;
     Rgb power;  // radiance times solid angle
   };
-  void fill_base(const Image<Rgb>& map, const Image<float>& confidence, const RadianceSh& unseen);
-  void take_spots_out(const Image<Rgb>& map);
+  void fill_base(const Image<Rgb>& map, const Image<float>& confidence, const RadianceSh& unseen,
+                 Image<Rgb>& base);
+  /// What is left of the map, whose spots are added up.
+  const Image<Rgb>& take_spots_out(const Image<Rgb>& map);
   std::vector<Spot> spots_for(const LevelPlan& plan) const;
   void sum_lobes(const LevelPlan& plan, Image<Rgb>& out) const;
   static std::vector<LobeSample> lobe_of(float roughness, int size, int base);
@@ -101,10 +103,11 @@ class ReflectionFilter {
   int base_ = 0;  // texels a side of the picture that lobes are taken over
   std::vector<LevelPlan> plans_;
   std::vector<glm::vec3> directions_;  // of the base's texels
-  Image<Rgb> whole_;                   // the base
-  // Without its bright spots, those, and the halvings of both
+  Image<Rgb> whole_;                   // the base, where a mirror shows it
+  Image<Rgb> rest_;                    // the map without what is far brighter than the rest
+  // The base of that rest with its halvings, and what was taken out: radiance times solid angle
   std::vector<Image<Rgb>> pyramid_, spots_;
-  bool any_spot_ = false;
+  bool any_spot_ = false, any_mirror_ = false;
   Image<Rgb> blocks_[2];  // scratch
 };
 

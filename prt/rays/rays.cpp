@@ -150,7 +150,7 @@ bool keep_nearest(RTCPointQueryFunctionArguments* arguments) {
   const glm::vec3 at = a * (1 - place.x - place.y) + b * place.x + c * place.y;
   const bool front = glm::dot(glm::cross(b - a, c - a), q.normal) > 0;
   const float distance = glm::length(at - q.point) + (front ? 0 : q.behind);
-  if (distance >= q.best.distance) return false;
+  if (!(distance < q.best.distance)) return false;  // nor of a triangle without area
   q.best = {arguments->primID, distance, place.x, place.y, front};
   arguments->query->radius = distance;
   return true;

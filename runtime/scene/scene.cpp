@@ -127,7 +127,10 @@ Result<PreparedObject> prepare_object(const SceneObject& o, const PreparedScene&
   if (!o.asset.starts_with("builtin:") && prt::is_baked_file(o.asset))
     return place_baked(o,
                        plane_under(scene.planes, {glm::vec3(o.position), glm::vec3(o.position)}));
-  const std::size_t max_vertices = o.max_vertices > 0 ? o.max_vertices : settings.max_vertices;
+  const auto asked = static_cast<std::size_t>(o.max_vertices);
+  const std::size_t max_vertices = asked == 0 ? settings.max_vertices
+                                   : o.coarse ? std::min(asked, settings.max_vertices)
+                                              : asked;
   PENUMBRA_ASSIGN(asset, load_asset(o.asset, o.albedo, settings.max_edge_fraction, max_vertices));
   auto& [mesh, surface, fine] = asset;
   const prt::Mesh& seen = fine ? fine->mesh : mesh;

@@ -143,7 +143,7 @@ TEST_F(SlurmJob, WhatSomebodyCancelsIsNotSubmittedAgain) {
 // The naive way asks for as little again, and loses the same shards three times.
 TEST_F(SlurmJob, WhatWasShortIsAskedForTwice) {
   plan_.stages[0].bytes = std::uint64_t{700} << 20;
-  plan_.stages[0].seconds = 1200;
+  plan_.stages[0].seconds = 60;  // less than the least that is asked for
   on_submit(
       "[[ $what == array ]] && { touch one; ((n < 2)) || touch two; }\n"
       "[[ $what == merge && -e two ]] && echo new >clip.shlm");
@@ -154,20 +154,21 @@ TEST_F(SlurmJob, WhatWasShortIsAskedForTwice) {
   const auto first = read_text(folder_.path() / "asked-1"),
              second = read_text(folder_.path() / "asked-2");
   ASSERT_TRUE(first && second);
-  EXPECT_THAT(*first, HasSubstr("--time=20 --mem=700M"));
-  EXPECT_THAT(*second, HasSubstr("--time=40 --mem=1400M"));
+  EXPECT_THAT(*first, HasSubstr("--time=5 --mem=700M"));
+  EXPECT_THAT(*second, HasSubstr("--time=10 --mem=1400M"));
   EXPECT_THAT(log_, ::testing::Contains(HasSubstr("twice the memory")));
 }
 
 TEST_F(SlurmJob, NothingIsSubmittedBesideJobsOfAnEarlierWait) {
+  plan_.mark = "penumbra-12";
   on_submit("[[ $what == array ]] && touch one two || echo new >clip.shlm");
-  program("squeue", "[[ $* == *--me* ]] && printf '7|/elsewhere|clip.shlm shards\\n8|" +
-                        plan_.folder + "|other.shlm shards\\n'; exit 0");
+  program("squeue", "[[ $* == *--me* ]] && printf '7 (null)\\n8 penumbra-13\\n'; exit 0");
   EXPECT_TRUE(run());
+  EXPECT_THAT(*read_text(folder_.path() / "asked-1"), HasSubstr("--comment=penumbra-12"));
   fs::remove(folder_.path() / "clip.shlm");
-  program("squeue", "[[ $* == *--me* ]] && printf '9|" + plan_.folder + "|clip.shlm shards\\n9|" +
-                        plan_.folder + "|clip.shlm shards\\n11|" + plan_.folder +
-                        "|clip.shlm merge\\n'; exit 0");
+  program("squeue",
+          "[[ $* == *--me* ]] && printf '9 penumbra-12\\n9 penumbra-12\\n11 penumbra-12\\n'; "
+          "exit 0");
   const auto outcome = run();
   ASSERT_FALSE(outcome);
   EXPECT_THAT(outcome.error().detail, HasSubstr("scancel 9 11"));

@@ -167,8 +167,8 @@ Result<std::string> chart_shard(const ChartOptions& o, std::span<const std::stri
     return write_bytes(path, file.dump());
   };
   const auto is_whole = [&](const std::filesystem::path& path) -> Result<bool> {
-    PENUMBRA_TRY(read_shard_file(path, key, shard, cases_of(shard, all)));
-    return true;
+    PENUMBRA_ASSIGN(done, read_cases(path, key, shard));
+    return done.size() == cases_of(shard, all);
   };
   const auto file = shard_file(chart_shards_stem(o), shard.index, shard.count);
   PENUMBRA_TRY(make_shard(file, is_whole, measure_into));

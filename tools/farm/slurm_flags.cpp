@@ -6,6 +6,7 @@
 #include <cstdint>
 #include <filesystem>
 
+#include "core/io/hash.h"
 #include "tools/common/arguments.h"
 #include "tools/common/print.h"
 #include "tools/common/progress.h"
@@ -58,6 +59,9 @@ Result<SlurmPlan> begin_plan(const std::string& output, const SlurmFlags& flags)
   if (!error) out.folder = std::filesystem::current_path(error).string();
   if (error) return fail(ErrorCode::kUnavailable, "--slurm", error.message());
   out.title = std::filesystem::path(output).filename().string();
+  Fnv1a hash;
+  hash.add(out.folder.data(), out.folder.size()).add(output.data(), output.size());
+  out.mark = fmt::format("penumbra-{:016x}", hash.value());
   out.logs = output + ".slurm";
   out.cores = flags.cores;
   return out;

@@ -79,18 +79,13 @@ Result<std::vector<std::string>> submit(const SlurmPlan& plan) {
 
 // An interrupted wait leaves its jobs: a second submission would bake everything twice.
 Result<void> check_queue(const SlurmPlan& plan) {
-  const auto answer = run_child({"squeue", "--me", "--noheader", "--format=%F|%Z|%j"});
+  if (plan.mark.empty()) return {};
+  const auto answer = run_child({"squeue", "--me", "--noheader", "--format=%F %k"});
   if (!answer || answer->status != 0) return {};
   std::vector<std::string> jobs;
   std::istringstream lines(answer->output);
-  for (std::string line; std::getline(lines, line);) {
-    const std::size_t bar = line.find('|');
-    if (bar == std::string::npos) continue;
-    const std::string job = line.substr(0, bar);
-    if (line.substr(bar + 1).starts_with(plan.folder + "|" + plan.title + " ") &&
-        std::ranges::find(jobs, job) == jobs.end())
-      jobs.push_back(job);
-  }
+  for (std::string job, mark; lines >> job && std::getline(lines >> std::ws, mark);)
+    if (mark == plan.mark && std::ranges::find(jobs, job) == jobs.end()) jobs.push_back(job);
   if (jobs.empty()) return {};
   return fail(ErrorCode::kUnavailable, plan.title,
               fmt::format("has jobs of an earlier submission in the queue: wait for their end, or "
@@ -105,8 +100,8 @@ struct Shortage {
 
 void ask_for_more(const Shortage& shortage, SlurmPlan& plan) {
   for (SlurmStage& stage : plan.stages) {
-    if (shortage.time) stage.seconds *= 2;
-    if (shortage.memory) stage.bytes *= 2;
+    if (shortage.time) stage.seconds = 2 * std::max(stage.seconds, kLeastSeconds);
+    if (shortage.memory) stage.bytes = 2 * std::max(stage.bytes, std::uint64_t{1} << 20);
   }
   if (shortage.time) log_warning("{}: asks for twice the time", plan.title);
   if (shortage.memory) log_warning("{}: asks for twice the memory", plan.title);

@@ -10,8 +10,6 @@ namespace penumbra::tools {
 
 namespace {
 
-// Slurm counts minutes, and kills a job by them: less than that is no bound worth asking for.
-constexpr double kLeastMinutes = 5;
 constexpr std::uint64_t kMegabyte = std::uint64_t{1} << 20;
 // A program that a signal ended, as the kernel does where memory is short, is begun again so often.
 constexpr int kAttempts = 3;
@@ -24,7 +22,8 @@ bool has_control_character(const std::string& text) {
 }
 
 Result<void> check_words(const SlurmPlan& plan) {
-  std::vector<std::string> words{plan.title, plan.program, plan.folder, plan.logs, plan.copied};
+  std::vector<std::string> words{plan.title,  plan.mark, plan.program,
+                                 plan.folder, plan.logs, plan.copied};
   for (const SlurmStage& stage : plan.stages) {
     words.push_back(stage.name);
     words.insert(words.end(), stage.arguments.begin(), stage.arguments.end());
@@ -58,8 +57,10 @@ std::string request(const SlurmPlan& plan, std::size_t which) {
   std::string out =
       fmt::format("--job-name={} --time={:.0f} --mem={}M --output={}",
                   shell_quoted(plan.title + " " + stage.name),
-                  std::ceil(std::max(kLeastMinutes, stage.seconds / 60)),
-                  (stage.bytes + kMegabyte - 1) / kMegabyte, shell_quoted(log_name(plan, stage)));
+                  std::ceil(std::max(kLeastSeconds, stage.seconds) / 60),
+                  std::max<std::uint64_t>(1, (stage.bytes + kMegabyte - 1) / kMegabyte),
+                  shell_quoted(log_name(plan, stage)));
+  if (!plan.mark.empty()) out += " --comment=" + shell_quoted(plan.mark);
   if (stage.tasks > 0) out += fmt::format(" --array=1-{}", stage.tasks);
   if (which > 0)
     out += fmt::format(" --dependency=\"afterany:${}\"", variable_of(plan.stages[which - 1]));

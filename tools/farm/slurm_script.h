@@ -20,8 +20,12 @@ struct SlurmStage {
   std::uint64_t bytes = 0;             // of memory, of each
 };
 
+/// Slurm counts minutes, and kills a job by them: less than that is no bound worth asking for.
+inline constexpr double kLeastSeconds = 300;
+
 struct SlurmPlan {
   std::string title;    // of the jobs, such as the output's name
+  std::string mark;     // the comment of the jobs, which tells outputs of one name apart
   std::string program;  // path, the same on all machines
   std::string folder;   // that jobs run in, shared
   std::string logs;     // folder of what jobs say, shared
