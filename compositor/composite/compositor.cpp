@@ -230,7 +230,7 @@ void Compositor::Impl::mirror_floor() {
   mirrored_changes = receivers.changes();
   for (std::size_t i = 0; i < receiver_of.size(); ++i) {
     const int object = static_cast<int>(i);
-    if (receiver_of[i] >= 0 && layers->mirrors(object))
+    if (receiver_of[i] >= 0 && layers->mirrors(object) && receivers.is_shown(receiver_of[i]))
       layers->set_floor(object, receivers.ratios_on(receiver_of[i], Layers::kFloorTexels));
   }
 }

@@ -182,11 +182,10 @@ vec3 on_level(vec2 at, int i) {
 uniform sampler2D floor_ratio;
 uniform mat4 grid_from_world;
 uniform vec4 grid;  // x and z of its centre, half its side, its height
-vec3 floor_towards(vec3 towards, float alpha) {
+// As much of the lobe as lies below the horizon, and what is left of the light there.
+vec4 floor_towards(vec3 r, float spread) {
   const float stretch = 3.0, texels = 64.0;
-  vec3 from = (grid_from_world * vec4(at, 1)).xyz, r = mat3(grid_from_world) * towards;
-  float spread = 1.3 * alpha + 0.01;  // tangent of half the lobe
-  float below = clamp(0.5 - 0.5 * r.y / spread, 0.0, 1.0);
+  vec3 from = (grid_from_world * vec4(at, 1)).xyz;
   float far = max(from.y - grid.w, 0.0) / max(-r.y, 0.5 * spread);
   vec2 p = (from.xz + far * r.xz - grid.xy) / grid.z;
   vec2 side = 1.0 + stretch * abs(p);
@@ -194,7 +193,7 @@ vec3 floor_towards(vec3 towards, float alpha) {
   float texel = 2.0 * grid.z / texels * max(side.x * side.x, side.y * side.y) / (1.0 + stretch);
   vec3 ratio = textureLod(floor_ratio, 0.5 + 0.5 * (1.0 + stretch) * p / side,
                           log2(max(2.0 * spread * far / texel, 1.0))).rgb;
-  return mix(vec3(1), 1.5 * ratio, below);
+  return vec4(1.5 * ratio, clamp(0.5 - 0.5 * r.y / spread, 0.0, 1.0));
 }
 #endif
 // The mean over the lobe around a direction, seen along the normal.
@@ -207,6 +206,21 @@ vec3 surroundings_towards(vec3 r, float place) {
   return on_level(at_place, int(place));
 #endif
 }
+#ifdef FLOOR
+// What is seen around a direction, less what the floor lacks of it.
+vec3 above_floor(vec3 around, vec3 towards, float place, float alpha) {
+  vec3 r = mat3(grid_from_world) * towards;
+  float spread = 1.3 * alpha + 0.01;  // tangent of half the lobe
+  if (r.y >= spread) return around;
+  vec4 seen = floor_towards(r, spread);
+  vec3 floor_light = around;
+  if (r.y > -spread) {
+    vec3 lower = transpose(mat3(grid_from_world)) * vec3(r.x, -spread, r.z);
+    floor_light = min(around, on_level(octahedral(lower), int(place + 0.5)));
+  }
+  return max(around - seen.w * (1.0 - seen.rgb) * floor_light, 0.0);
+}
+#endif
 #ifdef LONG_LOBE
 // Facets that lean towards the viewer, or away, by some angle turn what is mirrored by twice that,
 // those that lean aside by n.v of it: two lobes of .6 of the width in the plane of incidence stand
@@ -299,7 +313,7 @@ void main() {
     around = mix(around, along_lobe(n, v, n_dot_v, alpha, at_long_level, around), slant);
 #endif
 #ifdef FLOOR
-  around *= floor_towards(r, alpha);
+  around = above_floor(around, r, at_level, alpha);
 #endif
   vec3 shown = share * mix(own, around, seen);
 #ifdef LIGHTS
@@ -318,7 +332,7 @@ void main() {
   float coat_alpha = max(clearcoat_roughness * clearcoat_roughness, 1e-3);
   vec3 on_coat = surroundings_towards(r, clearcoat_level);
 #ifdef FLOOR
-  on_coat *= floor_towards(r, coat_alpha);
+  on_coat = above_floor(on_coat, r, clearcoat_level, coat_alpha);
 #endif
   shown = shown * (1.0 - coat) + coat * seen * on_coat;
 #ifdef LIGHTS

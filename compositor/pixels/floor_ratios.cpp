@@ -2,6 +2,7 @@
 #include <algorithm>
 #include <cmath>
 #include <glm/common.hpp>
+#include <vector>
 
 #include "compositor/pixels/receivers.h"
 
@@ -31,41 +32,53 @@ auto between(int width, int height, const glm::vec2& place, const Value& value) 
 
 }  // namespace
 
-Rgb Receivers::ratio_at(const glm::dvec3& place) const {
-  Rgb out{1, 1, 1};
-  for (const FloorReceiver& r : receivers_) {
-    if (!r.has_shadow || !r.visible) continue;
-    const glm::dvec3 here = r.world_from_bake.inverse() * place;
-    if (std::abs(here.y - r.grid.height) > kSamePlane) continue;
+// What a receiver's ratios leave at each texel, whose place in its own frame `here_from_grid` tells.
+void Receivers::take_ratios(const FloorReceiver& r, const Pose& here_from_grid,
+                            const std::vector<glm::dvec3>& places, Image<Rgb>& out) {
+  for (std::size_t i = 0; i < places.size(); ++i) {
+    const glm::dvec3 here = here_from_grid * places[i];
+    if (std::abs(here.y - r.grid.height) > kSamePlane) return;  // another plane
     const glm::vec2 uv = r.grid.uv({here.x, here.z});
     if (uv.x < 0 || uv.y < 0 || uv.x > 1 || uv.y > 1) continue;
-    out = out * between(r.ratio.width(), r.ratio.height(),
-                        uv * static_cast<float>(r.ratio.width()) - .5f,
-                        [&](int x, int y) { return unpacked(r.ratio.at(x, y)); });
+    Rgb& left = out.pixels()[i];
+    left = left * between(r.ratio.width(), r.ratio.height(),
+                          uv * static_cast<float>(r.ratio.width()) - .5f,
+                          [&](int x, int y) { return unpacked(r.ratio.at(x, y)); });
   }
-  for (const OnPlane& light : lights_) {
-    const Image<float>& taken = light.shadow.virtual_occlusion;
-    if (taken.empty()) continue;
-    const glm::dvec3 here = light.shadow.world_from_map.inverse() * place;
-    const glm::vec2 node(here.x / light.shadow.cell_m, here.z / light.shadow.cell_m);
-    if (std::abs(here.y) > kSamePlane || node.x < 0 || node.y < 0 ||
-        node.x > static_cast<float>(taken.width() - 1) ||
-        node.y > static_cast<float>(taken.height() - 1))
-      continue;
-    out = out - light.fraction * between(taken.width(), taken.height(), node,
-                                         [&](int x, int y) { return taken.at(x, y); });
+}
+
+void Receivers::take_light(const OnPlane& light, const Pose& map_from_grid,
+                           const std::vector<glm::dvec3>& places, Image<Rgb>& out) {
+  const Image<float>& taken = light.shadow.virtual_occlusion;
+  if (taken.empty()) return;
+  const glm::vec2 last(taken.width() - 1, taken.height() - 1);
+  for (std::size_t i = 0; i < places.size(); ++i) {
+    const glm::dvec3 here = map_from_grid * places[i];
+    if (std::abs(here.y) > kSamePlane) return;  // another plane
+    const glm::vec2 node = glm::vec2(here.x, here.z) / light.shadow.cell_m;
+    if (node.x < 0 || node.y < 0 || node.x > last.x || node.y > last.y) continue;
+    Rgb& left = out.pixels()[i];
+    left = left - light.fraction * between(taken.width(), taken.height(), node,
+                                           [&](int x, int y) { return taken.at(x, y); });
   }
-  return {std::max(out.r, 0.f), std::max(out.g, 0.f), std::max(out.b, 0.f)};
 }
 
 Image<Rgb> Receivers::ratios_on(int receiver, int texels) const {
   const FloorReceiver& r = receivers_[static_cast<std::size_t>(receiver)];
-  Image<Rgb> out(texels, texels);
+  std::vector<glm::dvec3> places;
+  places.reserve(static_cast<std::size_t>(texels * texels));
   for (int y = 0; y < texels; ++y)
     for (int x = 0; x < texels; ++x) {
       const glm::vec2 p = r.grid.position((glm::vec2(x, y) + .5f) / static_cast<float>(texels));
-      out.at(x, y) = ratio_at(r.world_from_bake * glm::dvec3(p.x, r.grid.height, p.y));
+      places.emplace_back(p.x, r.grid.height, p.y);
     }
+  Image<Rgb> out(texels, texels, {1, 1, 1});
+  for (const FloorReceiver& other : receivers_)
+    if (other.has_shadow && other.visible)
+      take_ratios(other, other.world_from_bake.inverse() * r.world_from_bake, places, out);
+  for (const OnPlane& light : lights_)
+    take_light(light, light.shadow.world_from_map.inverse() * r.world_from_bake, places, out);
+  for (Rgb& s : out.pixels()) s = {std::max(s.r, 0.f), std::max(s.g, 0.f), std::max(s.b, 0.f)};
   return out;
 }
 

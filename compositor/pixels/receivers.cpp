@@ -12,6 +12,7 @@ constexpr float kMinLeft = .05f;
 }  // namespace
 
 int Receivers::add(const prt::GroundGrid& grid) {
+  ++changes_;
   receivers_.push_back({grid, {}, {}, {}, {}, false});
   return static_cast<int>(receivers_.size()) - 1;
 }

@@ -101,6 +101,9 @@ class Receivers {
   /// All that virtual things leave of the open plane's light, on a receiver's grid with so many
   /// texels a side; without what real things take.
   Image<Rgb> ratios_on(int receiver, int texels) const;
+  bool is_shown(int receiver) const {
+    return receivers_[static_cast<std::size_t>(receiver)].visible;
+  }
 
   /// Prepares for one view; returns the pixels that any shadow can reach.
   /// in: the view's lens stays for as long as rows are loaded
@@ -165,7 +168,10 @@ class Receivers {
                 float* b) const;
   void take_missing(int y, const Rect& area, std::span<float> r, std::span<float> g,
                     std::span<float> b) const;
-  Rgb ratio_at(const glm::dvec3& place) const;
+  static void take_ratios(const FloorReceiver& receiver, const Pose& here_from_grid,
+                          const std::vector<glm::dvec3>& places, Image<Rgb>& out);
+  static void take_light(const OnPlane& light, const Pose& map_from_grid,
+                         const std::vector<glm::dvec3>& places, Image<Rgb>& out);
   /// The lights' shadows, and what is left of it all by real things.
   void subtract_shadows(int y, const Rect& area, float* r, float* g, float* b) const;
 
