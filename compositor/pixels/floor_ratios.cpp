@@ -32,7 +32,7 @@ auto between(int width, int height, const glm::vec2& place, const Value& value) 
 
 }  // namespace
 
-// What a receiver's ratios leave at each texel, whose place in its own frame `here_from_grid` tells.
+// What a receiver's ratios leave at each texel; `here_from_grid` leads to its own frame.
 void Receivers::take_ratios(const FloorReceiver& r, const Pose& here_from_grid,
                             const std::vector<glm::dvec3>& places, Image<Rgb>& out) {
   for (std::size_t i = 0; i < places.size(); ++i) {
