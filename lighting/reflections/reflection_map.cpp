@@ -234,7 +234,7 @@ void ReflectionFilter::fill_base(const Image<Rgb>& map, const Image<float>& conf
 
 // A lamp that is much brighter than the rest would be found by one sample of a lobe or by none. Of
 // such places there are few: together they have less light than the map.
-const Image<Rgb>& ReflectionFilter::take_spots_out(const Image<Rgb>& map) {
+void ReflectionFilter::take_spots_out(const Image<Rgb>& map) {
   constexpr float kBright = 50;  // times the mean
   double sum = 0, areas = 0;
   float brightest = 0;
@@ -247,7 +247,7 @@ const Image<Rgb>& ReflectionFilter::take_spots_out(const Image<Rgb>& map) {
   }
   const float limit = kBright * static_cast<float>(sum / areas);
   any_spot_ = brightest > limit;
-  if (!any_spot_) return map;
+  if (!any_spot_) return;
   if (!rest_.same_size(map)) rest_ = Image<Rgb>(map.width(), map.height());
   std::ranges::fill(spots_[0].pixels(), Rgb{});
   for (int y = 0; y < map.height(); ++y) {
@@ -264,7 +264,6 @@ const Image<Rgb>& ReflectionFilter::take_spots_out(const Image<Rgb>& map) {
                    std::min(static_cast<int>(at.y), base_ - 1)) += (c - rest_.at(x, y)) * area;
     }
   }
-  return rest_;
 }
 
 // In texels of which several lie within the lobe, and so many that they are few.
@@ -309,7 +308,8 @@ void ReflectionFilter::sum_lobes(const LevelPlan& plan, Image<Rgb>& out) const {
 void ReflectionFilter::filter(const Image<Rgb>& map, const Image<float>& confidence,
                               const RadianceSh& unseen, ReflectionMap& out) {
   if (any_mirror_) fill_base(map, confidence, unseen, whole_);
-  fill_base(take_spots_out(map), confidence, unseen, pyramid_[0]);
+  take_spots_out(map);
+  fill_base(any_spot_ ? rest_ : map, confidence, unseen, pyramid_[0]);
   for (std::size_t i = 1; i < pyramid_.size(); ++i) {
     halve(pyramid_[i - 1], .25f, pyramid_[i]);
     if (any_spot_) halve(spots_[i - 1], 1, spots_[i]);

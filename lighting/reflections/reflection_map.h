@@ -94,8 +94,7 @@ class ReflectionFilter {
   };
   void fill_base(const Image<Rgb>& map, const Image<float>& confidence, const RadianceSh& unseen,
                  Image<Rgb>& base);
-  /// What is left of the map, whose spots are added up.
-  const Image<Rgb>& take_spots_out(const Image<Rgb>& map);
+  void take_spots_out(const Image<Rgb>& map);
   std::vector<Spot> spots_for(const LevelPlan& plan) const;
   void sum_lobes(const LevelPlan& plan, Image<Rgb>& out) const;
   static std::vector<LobeSample> lobe_of(float roughness, int size, int base);
