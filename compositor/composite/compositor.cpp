@@ -231,7 +231,7 @@ void Compositor::Impl::mirror_floor() {
   for (std::size_t i = 0; i < receiver_of.size(); ++i) {
     const int object = static_cast<int>(i);
     if (receiver_of[i] >= 0 && layers->mirrors(object) && receivers.is_shown(receiver_of[i]))
-      layers->set_floor(object, receivers.ratios_on(receiver_of[i], Layers::kFloorTexels));
+      layers->set_floor(object, receivers.ratios_on(receiver_of[i], kMirroredFloor));
   }
 }
 

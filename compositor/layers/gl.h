@@ -4,6 +4,8 @@
 #include <EGL/egl.h>
 #include <GLES3/gl31.h>
 
+#include <algorithm>
+#include <bit>
 #include <memory>
 #include <string>
 #include <utility>
@@ -12,6 +14,17 @@
 #include "core/result.h"
 
 namespace penumbra::compositor {
+
+/// Levels of a texture with all halvings, down to one texel.
+inline GLint mip_levels(int width, int height) {
+  return static_cast<GLint>(std::bit_width(static_cast<unsigned>(std::max(width, height))));
+}
+/// Of the bound texture of two dimensions: linear, with the values of its rim beside it.
+inline void read_to_the_rim(GLint smaller = GL_LINEAR) {
+  glTexParameteri(GL_TEXTURE_2D, GL_TEXTURE_MIN_FILTER, smaller);
+  for (const GLenum wrap : {GL_TEXTURE_WRAP_S, GL_TEXTURE_WRAP_T})
+    glTexParameteri(GL_TEXTURE_2D, wrap, GL_CLAMP_TO_EDGE);
+}
 
 /// One GL name, deleted with its owner on the thread of the context.
 template <void (*Make)(GLuint&), void (*Delete)(GLuint)>

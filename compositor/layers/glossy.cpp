@@ -243,9 +243,7 @@ Glossy::Glossy() {
   glTexStorage2D(GL_TEXTURE_2D, 1, GL_RG16F, table.width(), table.height());
   glTexSubImage2D(GL_TEXTURE_2D, 0, 0, 0, table.width(), table.height(), GL_RG, GL_FLOAT,
                   table.pixels().data());
-  glTexParameteri(GL_TEXTURE_2D, GL_TEXTURE_MIN_FILTER, GL_LINEAR);
-  for (const GLenum wrap : {GL_TEXTURE_WRAP_S, GL_TEXTURE_WRAP_T})
-    glTexParameteri(GL_TEXTURE_2D, wrap, GL_CLAMP_TO_EDGE);
+  read_to_the_rim();
   lay_out_levels({});
 }
 
@@ -255,11 +253,9 @@ void Glossy::upload(const prt::Texture& texture, bool srgb) {
   if (!fresh) return;
   held->second.picture = texture.picture;
   const Image<prt::Rgba8>& codes = texture.picture->codes;
-  int levels = 1;
-  while ((std::max(codes.width(), codes.height()) >> levels) > 0) ++levels;
   glBindTexture(GL_TEXTURE_2D, held->second.texture.get());
-  glTexStorage2D(GL_TEXTURE_2D, levels, srgb ? GL_SRGB8_ALPHA8 : GL_RGBA8, codes.width(),
-                 codes.height());
+  glTexStorage2D(GL_TEXTURE_2D, mip_levels(codes.width(), codes.height()),
+                 srgb ? GL_SRGB8_ALPHA8 : GL_RGBA8, codes.width(), codes.height());
   glTexSubImage2D(GL_TEXTURE_2D, 0, 0, 0, codes.width(), codes.height(), GL_RGBA, GL_UNSIGNED_BYTE,
                   codes.pixels().data());
   glGenerateMipmap(GL_TEXTURE_2D);
@@ -358,7 +354,7 @@ void Glossy::set_shares(GlossyObject& o, std::span<const std::array<float, 4>> s
 // In rows, the largest first, each as high as its first.
 void Glossy::lay_out_levels(std::span<const ReflectionMap::RoughnessLevel> levels) {
   std::vector<int> sizes;
-  for (const ReflectionMap::RoughnessLevel& level : levels) sizes.push_back(level.picture.width());
+  for (const auto& level : levels) sizes.push_back(level.picture.width());
   if (sizes == level_sizes_ && !sizes.empty()) return;
   level_sizes_ = sizes;
   level_corners_.clear();
@@ -379,9 +375,7 @@ void Glossy::lay_out_levels(std::span<const ReflectionMap::RoughnessLevel> level
   level_pictures_ = {};
   glBindTexture(GL_TEXTURE_2D, level_pictures_.get());
   glTexStorage2D(GL_TEXTURE_2D, 1, GL_RGB16F, whole.x, whole.y);
-  glTexParameteri(GL_TEXTURE_2D, GL_TEXTURE_MIN_FILTER, GL_LINEAR);
-  for (const GLenum wrap : {GL_TEXTURE_WRAP_S, GL_TEXTURE_WRAP_T})
-    glTexParameteri(GL_TEXTURE_2D, wrap, GL_CLAMP_TO_EDGE);
+  read_to_the_rim();
   const Rgb dark{};
   if (sizes.empty()) glTexSubImage2D(GL_TEXTURE_2D, 0, 0, 0, 1, 1, GL_RGB, GL_FLOAT, &dark);
 }
@@ -409,15 +403,12 @@ bool Glossy::set_floor(GlossyObject& o, const Image<Rgb>& ratios) {
   if (codes == o.floor_codes) return false;
   glBindTexture(GL_TEXTURE_2D, o.floor.get());
   if (o.floor_codes.empty()) {
-    int levels = 1;
-    while ((kFloorTexels >> levels) > 0) ++levels;
-    glTexStorage2D(GL_TEXTURE_2D, levels, GL_RGB8, kFloorTexels, kFloorTexels);
-    glTexParameteri(GL_TEXTURE_2D, GL_TEXTURE_MIN_FILTER, GL_LINEAR_MIPMAP_LINEAR);
-    for (const GLenum wrap : {GL_TEXTURE_WRAP_S, GL_TEXTURE_WRAP_T})
-      glTexParameteri(GL_TEXTURE_2D, wrap, GL_CLAMP_TO_EDGE);
+    glTexStorage2D(GL_TEXTURE_2D, mip_levels(kMirroredFloor, kMirroredFloor), GL_RGB8,
+                   kMirroredFloor, kMirroredFloor);
+    read_to_the_rim(GL_LINEAR_MIPMAP_LINEAR);
   }
   o.floor_codes = std::move(codes);
-  glTexSubImage2D(GL_TEXTURE_2D, 0, 0, 0, kFloorTexels, kFloorTexels, GL_RGB, GL_UNSIGNED_BYTE,
+  glTexSubImage2D(GL_TEXTURE_2D, 0, 0, 0, kMirroredFloor, kMirroredFloor, GL_RGB, GL_UNSIGNED_BYTE,
                   o.floor_codes.data());
   glGenerateMipmap(GL_TEXTURE_2D);
   return true;
@@ -428,9 +419,7 @@ void Glossy::set_mirrored_floor(GLuint program, const GlossyObject& o, const Pos
   glActiveTexture(GL_TEXTURE0 + kFloorUnit);
   glBindTexture(GL_TEXTURE_2D, o.floor.get());
   glUniform1i(uniform(program, "floor_ratio"), kFloorUnit);
-  const Pose from_world = pose.inverse();
-  glm::mat4 grid_from_world(glm::mat3_cast(glm::quat(from_world.rotation)));
-  grid_from_world[3] = glm::vec4(glm::vec3(from_world.translation), 1);
+  const glm::mat4 grid_from_world(pose.inverse().matrix());
   glUniformMatrix4fv(uniform(program, "grid_from_world"), 1, GL_FALSE,
                      glm::value_ptr(grid_from_world));
   const prt::GroundGrid& g = *o.floor_grid;
@@ -490,9 +479,7 @@ void Glossy::set_material(const prt::Material& m, GLuint program) {
 }
 
 void Glossy::set_scene(GLuint program, const Placed& placed) const {
-  const Pose& pose = placed.world_from_object;
-  glm::mat4 world(glm::mat3_cast(glm::quat(pose.rotation)));
-  world[3] = glm::vec4(glm::vec3(pose.translation), 1);
+  const glm::mat4 world(placed.world_from_object.matrix());
   glUniformMatrix4fv(uniform(program, "world_from_object"), 1, GL_FALSE, glm::value_ptr(world));
   glUniform3f(uniform(program, "eye"), static_cast<float>(placed.eye.x),
               static_cast<float>(placed.eye.y), static_cast<float>(placed.eye.z));

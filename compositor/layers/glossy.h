@@ -65,9 +65,8 @@ class Glossy {
                          const DrawnVertices& vertices);
   void set_surroundings(const Surroundings& surroundings);
   /// Shadow ratios on the floor that it stands on.
-  /// in:  of kFloorTexels a side, on the grid of the object's receiver
+  /// in:  of kMirroredFloor texels a side, on the grid of the object's receiver
   /// out: whether it looks different now
-  static constexpr int kFloorTexels = 64;
   static bool set_floor(GlossyObject& object, const Image<Rgb>& ratios);
 
   GlossyFeatures features_of(const GlossyObject& object, const GlossyObject::Part& part) const;

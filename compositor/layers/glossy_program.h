@@ -2,9 +2,14 @@
 // threads: reentrant
 #pragma once
 
+#include <fmt/format.h>
+
 #include <compare>
 #include <cstdint>
 #include <string>
+
+#include "lighting/reflections/reflection_map.h"
+#include "prt/geometry/receiver.h"
 
 namespace penumbra::compositor {
 
@@ -40,6 +45,9 @@ class GlossyFeatures {
   std::uint32_t bits_ = 0;
 };
 
+/// Texels a side of the shadow ratios that a mirror shows of the floor.
+inline constexpr int kMirroredFloor = 64;
+
 /// in: cut: whether is_shown() may say no
 inline std::string glossy_defines(const GlossyFeatures& features, bool cut) {
   constexpr const char* kNames[GlossyFeatures::kFeatures] = {
@@ -51,7 +59,12 @@ inline std::string glossy_defines(const GlossyFeatures& features, bool cut) {
       "LIGHTS",          "OCCLUSION_IN_ROUGHNESS",
       "ALPHA",           "BETWEEN_LEVELS",
       "LONG_LOBE",       "FLOOR"};
-  std::string out = cut ? "#define CUT\n" : "";
+  std::string out = fmt::format(
+      "#define MAX_LEVELS {}\n#define MIRRORED_FLOOR {:.1f}\n#define GRID_STRETCH {:.3f}\n"
+      "#define NARROW_LOBE {:.5f}\n",
+      lighting::ReflectionMap::kMaxLevels, double{kMirroredFloor}, prt::GroundGrid::kStretch,
+      lighting::kNarrowLobe);
+  if (cut) out += "#define CUT\n";
   for (std::uint32_t i = 0; i < GlossyFeatures::kFeatures; ++i)
     if (features.has(static_cast<GlossyFeatures::Feature>(i)))
       out += std::string("#define ") + kNames[i] + "\n";
@@ -104,9 +117,8 @@ uniform sampler2D base_colour_map, metallic_roughness_map, normal_map, occlusion
 // One octahedral picture for each roughness, beside each other: tiles hold their first texel's
 // corner and their size, in the whole's.
 uniform highp sampler2D surroundings;
-const int kMaxLevels = 12;
-uniform vec4 tiles[12];
-uniform vec2 levels[12];  // lobe_peak() of the roughness, 1/(step to the next)
+uniform vec4 tiles[MAX_LEVELS];
+uniform vec2 levels[MAX_LEVELS];  // lobe_peak() of the roughness, 1/(step to the next)
 uniform int level_count;
 uniform float level, long_level, clearcoat_level;
 uniform sampler2D reflected;
@@ -184,14 +196,14 @@ uniform mat4 grid_from_world;
 uniform vec4 grid;  // x and z of its centre, half its side, its height
 // As much of the lobe as lies below the horizon, and what is left of the light there.
 vec4 floor_towards(vec3 r, float spread) {
-  const float stretch = 3.0, texels = 64.0;
   vec3 from = (grid_from_world * vec4(at, 1)).xyz;
   float far = max(from.y - grid.w, 0.0) / max(-r.y, 0.5 * spread);
   vec2 p = (from.xz + far * r.xz - grid.xy) / grid.z;
-  vec2 side = 1.0 + stretch * abs(p);
+  vec2 side = 1.0 + GRID_STRETCH * abs(p);
   // Metres from one texel to the next, the larger.
-  float texel = 2.0 * grid.z / texels * max(side.x * side.x, side.y * side.y) / (1.0 + stretch);
-  vec3 ratio = textureLod(floor_ratio, 0.5 + 0.5 * (1.0 + stretch) * p / side,
+  float texel = 2.0 * grid.z / MIRRORED_FLOOR * max(side.x * side.x, side.y * side.y) /
+                (1.0 + GRID_STRETCH);
+  vec3 ratio = textureLod(floor_ratio, 0.5 + 0.5 * (1.0 + GRID_STRETCH) * p / side,
                           log2(max(2.0 * spread * far / texel, 1.0))).rgb;
   return vec4(1.5 * ratio, clamp(0.5 - 0.5 * r.y / spread, 0.0, 1.0));
 }
@@ -226,7 +238,8 @@ vec3 above_floor(vec3 around, vec3 towards, float place, float alpha) {
 // those that lean aside by n.v of it: two lobes of .6 of the width in the plane of incidence stand
 // for them.
 vec3 along_lobe(vec3 n, vec3 v, float n_dot_v, float alpha, float place, vec3 otherwise) {
-  const float narrow = 0.6, lean = 0.462;  // sqrt(1 - narrow^2), half of a lobe to each side
+  // The width that the narrow lobes lack, at a quarter and three quarters of a lobe.
+  float lean = 0.577 * sqrt(1.0 - NARROW_LOBE * NARROW_LOBE * NARROW_LOBE * NARROW_LOBE);
   vec3 t = normalize(v - n * n_dot_v), sum = vec3(0);
   float weights = 0.0, a2 = alpha * alpha;
   for (float side = -1.0; side < 2.0; side += 2.0) {
@@ -268,7 +281,7 @@ void main() {
   metal *= t.b;
   at_level = level_of(rough);
 #ifdef LONG_LOBE
-  at_long_level = level_of(0.7746 * rough);
+  at_long_level = level_of(NARROW_LOBE * rough);
 #endif
 #endif
   vec3 plain = normalize(up), n = plain, diffuse_light = light;

@@ -62,10 +62,9 @@ GlTexture one_texel() {
 
 GlTexture albedo_texture(const Image<Rgb8>& picture) {
   GlTexture texture;
-  int levels = 1;
-  while ((std::max(picture.width(), picture.height()) >> levels) > 0) ++levels;
   glBindTexture(GL_TEXTURE_2D, texture.get());
-  glTexStorage2D(GL_TEXTURE_2D, levels, GL_SRGB8_ALPHA8, picture.width(), picture.height());
+  glTexStorage2D(GL_TEXTURE_2D, mip_levels(picture.width(), picture.height()), GL_SRGB8_ALPHA8,
+                 picture.width(), picture.height());
   std::vector<std::uint8_t> codes;
   codes.reserve(4 * picture.area());
   for (const Rgb8& c : picture.pixels()) codes.insert(codes.end(), {c.r, c.g, c.b, 255});
@@ -117,9 +116,7 @@ void Layers::add_pictures(DrawnObject& o, const prt::BakedObject& baked,
   map.pixels.resize(static_cast<std::size_t>(map.width) * static_cast<std::size_t>(map.height));
   glBindTexture(GL_TEXTURE_2D, map.texture.get());
   glTexStorage2D(GL_TEXTURE_2D, 1, GL_RGB16F, map.width, map.height);
-  glTexParameteri(GL_TEXTURE_2D, GL_TEXTURE_MIN_FILTER, GL_LINEAR);
-  for (const GLenum wrap : {GL_TEXTURE_WRAP_S, GL_TEXTURE_WRAP_T})
-    glTexParameteri(GL_TEXTURE_2D, wrap, GL_CLAMP_TO_EDGE);
+  read_to_the_rim();
   upload_coordinates(o, o.light_coordinates.get(), 3, appearance.light_coordinates);
   // Light comes from the map; vertices tint it where a picture gives the albedo.
   o.colours.assign(baked.mesh.positions.size(), Rgb{1, 1, 1});

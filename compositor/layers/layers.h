@@ -39,7 +39,6 @@ class Layers {
   bool mirrors(int object) const {
     return objects_[static_cast<std::size_t>(object)].glossy.has_value();
   }
-  static constexpr int kFloorTexels = Glossy::kFloorTexels;
   /// As Glossy::set_floor. in: an object that mirrors, with a receiver
   void set_floor(int object, const Image<Rgb>& ratios);
   int add_occluder(const prt::Mesh& mesh);

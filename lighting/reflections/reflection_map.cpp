@@ -170,6 +170,7 @@ ReflectionFilter::ReflectionFilter(const SurfaceRoughness& asked) {
   for (LevelPlan& plan : plans_) {
     any_mirror_ |= plan.roughness <= kMirror;
     if (plan.roughness <= kMirror) continue;
+    any_lobe_ = true;
     plan.lobe = lobe_of(plan.roughness, plan.size, base_);
     plan.lobe_sum = lobe_sum_of(plan.roughness);
   }
@@ -266,6 +267,19 @@ void ReflectionFilter::take_spots_out(const Image<Rgb>& map) {
   }
 }
 
+void ReflectionFilter::fill_pyramid(const Image<Rgb>& map, const Image<float>& confidence,
+                                    const RadianceSh& unseen) {
+  take_spots_out(map);
+  if (any_mirror_ && !any_spot_)
+    pyramid_[0] = whole_;
+  else
+    fill_base(any_spot_ ? rest_ : map, confidence, unseen, pyramid_[0]);
+  for (std::size_t i = 1; i < pyramid_.size(); ++i) {
+    halve(pyramid_[i - 1], .25f, pyramid_[i]);
+    if (any_spot_) halve(spots_[i - 1], 1, spots_[i]);
+  }
+}
+
 // In texels of which several lie within the lobe, and so many that they are few.
 std::vector<ReflectionFilter::Spot> ReflectionFilter::spots_for(const LevelPlan& plan) const {
   constexpr std::ptrdiff_t kMaxSpots = 200;
@@ -308,12 +322,7 @@ void ReflectionFilter::sum_lobes(const LevelPlan& plan, Image<Rgb>& out) const {
 void ReflectionFilter::filter(const Image<Rgb>& map, const Image<float>& confidence,
                               const RadianceSh& unseen, ReflectionMap& out) {
   if (any_mirror_) fill_base(map, confidence, unseen, whole_);
-  take_spots_out(map);
-  fill_base(any_spot_ ? rest_ : map, confidence, unseen, pyramid_[0]);
-  for (std::size_t i = 1; i < pyramid_.size(); ++i) {
-    halve(pyramid_[i - 1], .25f, pyramid_[i]);
-    if (any_spot_) halve(spots_[i - 1], 1, spots_[i]);
-  }
+  if (any_lobe_) fill_pyramid(map, confidence, unseen);
   out.levels.resize(plans_.size());
   for (std::size_t i = 0; i < plans_.size(); ++i) {
     ReflectionMap::RoughnessLevel& level = out.levels[i];

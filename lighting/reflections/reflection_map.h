@@ -32,7 +32,6 @@ struct ReflectionMap {
   };
   std::vector<RoughnessLevel> levels{};  // by roughness, rising
 
-  bool empty() const { return levels.empty(); }
   /// Between which levels a roughness lies: 1.25 takes a quarter of the third and the rest of the
   /// second. By lobe_peak(), so that a mean of two lobes is as bright over a small lamp as the one
   /// that is meant. As the shader of surfaces has it.
@@ -94,6 +93,8 @@ class ReflectionFilter {
   };
   void fill_base(const Image<Rgb>& map, const Image<float>& confidence, const RadianceSh& unseen,
                  Image<Rgb>& base);
+  void fill_pyramid(const Image<Rgb>& map, const Image<float>& confidence,
+                    const RadianceSh& unseen);
   void take_spots_out(const Image<Rgb>& map);
   std::vector<Spot> spots_for(const LevelPlan& plan) const;
   void sum_lobes(const LevelPlan& plan, Image<Rgb>& out) const;
@@ -106,7 +107,7 @@ class ReflectionFilter {
   Image<Rgb> rest_;                    // the map without what is far brighter than the rest
   // The base of that rest with its halvings, and what was taken out: radiance times solid angle
   std::vector<Image<Rgb>> pyramid_, spots_;
-  bool any_spot_ = false, any_mirror_ = false;
+  bool any_spot_ = false, any_mirror_ = false, any_lobe_ = false;
   Image<Rgb> blocks_[2];  // scratch
 };
 

@@ -325,7 +325,7 @@ Result<PreparedObject> prepare_animated(const SceneObject& o, const std::vector<
 }
 
 prt::Mesh PreparedObject::mesh_at(double seconds) const {
-  if (!animation) return baked.mesh;
+  if (!animation) return baked.fine ? baked.fine->mesh : baked.mesh;
   prt::Mesh mesh;
   prt::deform(animation->character, animation->pose_at(seconds), mesh);
   return mesh;

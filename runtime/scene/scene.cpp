@@ -389,7 +389,7 @@ prt::Mesh world_mesh(const PreparedScene& scene, bool with_objects, double secon
   if (!with_objects) return all;
   for (const PreparedObject& o : scene.objects) {
     if (!o.visible) continue;
-    prt::Mesh mesh = o.baked.fine ? o.baked.fine->mesh : o.mesh_at(seconds);
+    prt::Mesh mesh = o.mesh_at(seconds);
     prt::transform(mesh, o.pose_at(seconds).matrix());
     append(all, mesh);
   }

@@ -52,7 +52,7 @@ struct SceneObject : Placement {
   double spin_rpm = 0;   // turntable about the receiver's normal
   int max_vertices = 0;  // lit; 0: as BakeSettings has it
   bool visible = true;   // from the start
-  // Not of files: baked as BakeSettings::coarse() for now, and which one of that name it is
+  // Not of files: baked as BakeSettings::coarse(), and which one of that name it is
   bool coarse = false;
   unsigned instance = 0;
 };
@@ -155,7 +155,7 @@ struct PreparedObject {
 
   /// Placement at a time: the turntable turns about the bake frame's y.
   Pose pose_at(double seconds) const;
-  /// In the bake frame.
+  /// In the bake frame, as it is drawn.
   prt::Mesh mesh_at(double seconds) const;
   struct MoveOptions {
     bool all_transfer = true;  // all of `baked`; else what relight() needs alone

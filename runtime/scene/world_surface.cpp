@@ -75,7 +75,7 @@ Result<std::shared_ptr<const prt::SurfaceMaterials>> world_surface(const Prepare
       PENUMBRA_TRY(out.add(*surface, glm::mat3_cast(glm::quat(o.pose_at(seconds).rotation))));
       any = true;
     } else {
-      out.add(fine ? fine->mesh : o.mesh_at(seconds));
+      out.add(o.mesh_at(seconds));
     }
   }
   return any ? out.take() : nullptr;

@@ -64,23 +64,35 @@ BallError error_of(const Image<Rgb>& picture, const IrradianceSh& irradiance) {
   return out;
 }
 
-TEST(FineFormPictures, ShowAllVerticesInTheLightOfFew) {
-  auto compositor =
-      Compositor::create(test::kSceneWidth, test::kSceneHeight, Compositor::Surface::kOffscreen);
-  if (!compositor && compositor.error().code == ErrorCode::kUnavailable)
-    GTEST_SKIP() << "no OpenGL ES 3.1: " << compositor.error().detail;
-  ASSERT_TRUE(compositor);
+class FineFormPictures : public testing::Test {
+ protected:
+  void SetUp() override {
+    auto made =
+        Compositor::create(test::kSceneWidth, test::kSceneHeight, Compositor::Surface::kOffscreen);
+    if (!made && made.error().code == ErrorCode::kUnavailable)
+      GTEST_SKIP() << "no OpenGL ES 3.1: " << made.error().detail;
+    ASSERT_TRUE(made) << made.error().detail;
+    compositor_ = std::move(*made);
+  }
+  Image<Rgb> drawn() {
+    FramePixels frame = Image<Rgb>(test::kSceneWidth, test::kSceneHeight);
+    EXPECT_TRUE(compositor_->composite({test::scene_camera(), nullptr, 1}, frame));
+    return std::get<Image<Rgb>>(frame);
+  }
+
+  std::unique_ptr<Compositor> compositor_;
+};
+
+TEST_F(FineFormPictures, ShowAllVerticesInTheLightOfFew) {
   prt::BakedObject ball = ball_of_two_forms();
   EXPECT_LT(ball.mesh.positions.size(), 400U);
   const RadianceSh light = test::sloped_light(1, {.4, .3, .5}, 3);
   const auto draw = [&](const prt::BakedObject& object) {
-    (*compositor)->show(test::add_lit(**compositor, object, light), true);
-    FramePixels frame = Image<Rgb>(test::kSceneWidth, test::kSceneHeight);
-    EXPECT_TRUE((*compositor)->composite({test::scene_camera(), nullptr, 1}, frame));
-    return std::get<Image<Rgb>>(frame);
+    test::add_lit(*compositor_, object, light);
+    return drawn();
   };
   const BallError fine = error_of(draw(ball), lighting::irradiance(light));
-  (*compositor)->show(0, false);
+  compositor_->show(0, false);
   ball.fine.reset();
   const BallError naive = error_of(draw(ball), lighting::irradiance(light));
   ASSERT_GT(fine.pixels, 1000);
@@ -88,12 +100,7 @@ TEST(FineFormPictures, ShowAllVerticesInTheLightOfFew) {
   EXPECT_GT(naive.rms, .04 * naive.mean);  // few vertices smear the albedo
 }
 
-TEST(FineFormPictures, MaterialsAreThoseOfTheFineForm) {
-  auto compositor =
-      Compositor::create(test::kSceneWidth, test::kSceneHeight, Compositor::Surface::kOffscreen);
-  if (!compositor && compositor.error().code == ErrorCode::kUnavailable)
-    GTEST_SKIP() << "no OpenGL ES 3.1: " << compositor.error().detail;
-  ASSERT_TRUE(compositor);
+TEST_F(FineFormPictures, MaterialsAreThoseOfTheFineForm) {
   prt::BakedObject ball = ball_of_two_forms();
   const auto surface_for = [](const prt::Mesh& mesh) {
     prt::SurfaceMaterials s;
@@ -107,13 +114,10 @@ TEST(FineFormPictures, MaterialsAreThoseOfTheFineForm) {
   ball.surface = surface_for(ball.mesh);
   ball.fine = fine;
   const RadianceSh light = test::sloped_light(1, {.4, .3, .5}, 3);
-  const int handle = test::add_lit(**compositor, ball, light);
-  (*compositor)
-      ->set_light_shares(
-          handle, std::vector<std::array<float, 4>>(ball.mesh.positions.size(), {1, 0, 1, 0}));
-  FramePixels frame = Image<Rgb>(test::kSceneWidth, test::kSceneHeight);
-  ASSERT_TRUE((*compositor)->composite({test::scene_camera(), nullptr, 1}, frame));
-  const BallError error = error_of(std::get<Image<Rgb>>(frame), lighting::irradiance(light));
+  const int handle = test::add_lit(*compositor_, ball, light);
+  compositor_->set_light_shares(
+      handle, std::vector<std::array<float, 4>>(ball.mesh.positions.size(), {1, 0, 1, 0}));
+  const BallError error = error_of(drawn(), lighting::irradiance(light));
   EXPECT_LT(error.rms, .03 * error.mean);
 }
 
