@@ -30,22 +30,12 @@ auto between(int width, int height, const glm::vec2& place, const Value& value) 
          (value(x, y1) * (1 - fx) + value(x1, y1) * fx) * fy;
 }
 
-}  // namespace
-
-// What a receiver's ratios leave at each texel; `here_from_grid` leads to its own frame.
-void Receivers::take_ratios(const FloorReceiver& r, const Pose& here_from_grid,
-                            const std::vector<glm::dvec3>& places, Image<Rgb>& out) {
-  for (std::size_t i = 0; i < places.size(); ++i) {
-    const glm::dvec3 here = here_from_grid * places[i];
-    if (std::abs(here.y - r.grid.height) > kSamePlane) return;  // another plane
-    const glm::vec2 uv = r.grid.uv({here.x, here.z});
-    if (uv.x < 0 || uv.y < 0 || uv.x > 1 || uv.y > 1) continue;
-    Rgb& left = out.pixels()[i];
-    left = left * between(r.ratio.width(), r.ratio.height(),
-                          uv * static_cast<float>(r.ratio.width()) - .5f,
-                          [&](int x, int y) { return unpacked(r.ratio.at(x, y)); });
-  }
+Rgb own_ratio(const Image<std::uint32_t>& ratio, const glm::vec2& uv) {
+  return between(ratio.width(), ratio.height(), uv * static_cast<float>(ratio.width()) - .5f,
+                 [&](int x, int y) { return unpacked(ratio.at(x, y)); });
 }
+
+}  // namespace
 
 void Receivers::take_light(const OnPlane& light, const Pose& map_from_grid,
                            const std::vector<glm::dvec3>& places, Image<Rgb>& out) {
@@ -73,9 +63,9 @@ Image<Rgb> Receivers::ratios_on(int receiver, int texels) const {
       places.emplace_back(p.x, r.grid.height, p.y);
     }
   Image<Rgb> out(texels, texels, {1, 1, 1});
-  for (const FloorReceiver& other : receivers_)
-    if (other.has_shadow && other.visible)
-      take_ratios(other, other.world_from_bake.inverse() * r.world_from_bake, places, out);
+  if (r.has_shadow)
+    for (std::size_t i = 0; i < places.size(); ++i)
+      out.pixels()[i] = own_ratio(r.ratio, r.grid.uv({places[i].x, places[i].z}));
   for (const OnPlane& light : lights_)
     take_light(light, light.shadow.world_from_map.inverse() * r.world_from_bake, places, out);
   for (Rgb& s : out.pixels()) s = {std::max(s.r, 0.f), std::max(s.g, 0.f), std::max(s.b, 0.f)};

@@ -98,8 +98,9 @@ class Receivers {
 
   /// Counts what the functions above were told.
   int changes() const { return changes_; }
-  /// All that virtual things leave of the open plane's light, on a receiver's grid with so many
-  /// texels a side; without what real things take.
+  /// What an object leaves of the open plane's light, on its own grid with so many texels a side,
+  /// and what all virtual things leave of the distant lights; without what real things take. Below
+  /// a neighbour, which the mirror does not show, would be a black spot.
   Image<Rgb> ratios_on(int receiver, int texels) const;
   bool is_shown(int receiver) const {
     return receivers_[static_cast<std::size_t>(receiver)].visible;
@@ -168,8 +169,6 @@ class Receivers {
                 float* b) const;
   void take_missing(int y, const Rect& area, std::span<float> r, std::span<float> g,
                     std::span<float> b) const;
-  static void take_ratios(const FloorReceiver& receiver, const Pose& here_from_grid,
-                          const std::vector<glm::dvec3>& places, Image<Rgb>& out);
   static void take_light(const OnPlane& light, const Pose& map_from_grid,
                          const std::vector<glm::dvec3>& places, Image<Rgb>& out);
   /// The lights' shadows, and what is left of it all by real things.

@@ -237,6 +237,33 @@ TEST_F(GlossyBall, AMirrorShowsItsOwnShadowOnTheFloor) {
   }
 }
 
+// A neighbour is not in the mirror; the floor below it would be a black spot there.
+TEST_F(GlossyBall, TheFloorBelowANeighbourIsNoBlackSpot) {
+  object_ = test::baked_sphere(true);
+  const RadianceSh light = even_light({1, 1, 1});
+  add({.metallic = 1, .roughness = 0}, light, {reflections_of(even_map({1, 1, 1})), {}, light});
+  const Image<Rgb> alone = drawn();
+  const prt::BakedObject neighbour = test::baked_sphere(true);
+  test::add_lit(*compositor_, neighbour, light, {{1, 0, 0, 0}, {1.3, 0, .2}});
+  const Image<Rgb> both = drawn();
+  double worst = 0;
+  int below = 0;
+  const prt::PinholeView v = test::scene_camera();
+  for (int y = 0; y < kSceneHeight; ++y)
+    for (int x = 0; x < kSceneWidth; ++x) {
+      const auto n = normal_at(v, x + .5, y + .5);
+      if (!n) continue;
+      worst = std::max(worst, std::abs(double(both.at(x, y).g) - alone.at(x, y).g));
+      const dvec3 towards = -test::pixel_ray(v, x + .5, y + .5),
+                  r = 2 * glm::dot(*n, towards) * *n - towards, at = kCentre + kRadius * *n;
+      if (r.y >= 0) continue;
+      const dvec3 floor = at - r * (at.y / r.y);
+      below += glm::length(floor - dvec3(1.3, 0, .2)) < .1 ? 1 : 0;
+    }
+  ASSERT_GT(below, 0);
+  EXPECT_LT(worst, .01);
+}
+
 std::shared_ptr<const prt::TexturePicture> picture_of(Image<prt::Rgba8> codes) {
   auto out = std::make_shared<prt::TexturePicture>();
   out->codes = std::move(codes);
