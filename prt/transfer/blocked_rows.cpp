@@ -74,6 +74,10 @@ void sum_rows(const BlockedRows& from, int first, int used, std::span<const floa
               std::span<float> out) {
   assert(first >= 0 && first + used <= from.rows &&
          weights.size() >= 3 * static_cast<std::size_t>(used));
+  if (used == 0) {  // no row, of which there may be none to point at
+    std::ranges::fill(out, 0.0F);
+    return;
+  }
   constexpr std::size_t kTogether = 64,  // blocks
       kAhead = 4096;                     // values: twice a page
   const std::size_t stride = out.size() / 3, blocks = stride / kBlock,
@@ -91,8 +95,7 @@ void sum_rows(const BlockedRows& from, int first, int used, std::span<const floa
         continue;
       }
       for (std::size_t c = 0; c < 3; ++c) HWY_DYNAMIC_DISPATCH(SumChannel)
-      (values + c * rows, ahead, used, weights.empty() ? nullptr : weights.data() + c,
-       to + c * stride, stride);
+      (values + c * rows, ahead, used, weights.data() + c, to + c * stride, stride);
     }
   });
 }
