@@ -13,8 +13,10 @@ using test::GltfMaker;
 
 class GltfMaterial : public GltfFixture {
  protected:
-  // A card of this material, which must give a surface.
-  Import card(GltfMaker maker, const json& material) const {
+  // A card of this material, which must give a surface. The material may add pictures to the maker
+  // that it goes with: so that is not copied while arguments are found.
+  Import card(const GltfMaker& with_pictures, const json& material) const {
+    GltfMaker maker = with_pictures;
     maker.place(test::gltf_card(1, 1), maker.material(material));
     Import out = read(maker);
     EXPECT_TRUE(out.surface);
