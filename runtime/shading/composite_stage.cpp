@@ -434,7 +434,7 @@ void CompositeStage::compose_shadow(std::size_t index, const lighting::LightEsti
   if (ground_probes_.any()) {
     take_what_is_behind(index, residual_for(estimate, stands_level(baked, pose)), pose, light.local,
                         o.deficit);
-    take_hidden_reflections(index, light.local, lights ? &light.receiver_lights : nullptr);
+    correct_reflections(index, light);
   }
   shadows::compose_planar_shadow(
       {baked.receiver->grid, baked.ground_deficit.bands, baked.ground_deficit.stride, o.deficit},

@@ -153,7 +153,6 @@ class CompositeStage {
     std::vector<float> relit{};                // irradiance/pi of the object's vertices
     std::vector<float> deficit{};              // of the receiver's irradiance/pi
     std::vector<float> more{};                 // scratch: what is added to either
-    std::vector<float> rays{};                 // scratch: see take_hidden_reflections
     shadows::PlanarShadow shadow{}, shared{};  // alone, and without what others before it take
     bool shares = false;
     Rgb of_open{1, 1, 1};             // the local light on the floor, over that of the open floor
@@ -226,8 +225,7 @@ class CompositeStage {
                       const ObjectLight& light);
   void take_what_is_behind(std::size_t index, const RadianceSh& sky, const Pose& pose,
                            const RadianceSh& local, std::span<float> deficit) const;
-  void take_hidden_reflections(std::size_t index, const RadianceSh& local,
-                               const RadianceSh* lights);
+  void correct_reflections(std::size_t index, const ObjectLight& light);
   bool is_nearest(std::size_t index, const glm::dvec3& place) const;
   void combine_object_shadows(const std::vector<Pose>& poses);
   void shade_real_mesh(const lighting::LightEstimate& light, const std::vector<Pose>& poses,

@@ -1,9 +1,13 @@
 // The part of CompositeStage that tells what an object changes on the floor beside real things.
 #include <algorithm>
 #include <array>
+#include <cmath>
 #include <limits>
+#include <memory_resource>
 #include <span>
+#include <vector>
 
+#include "core/threads/scratch.h"
 #include "lighting/sh/basis.h"
 #include "prt/bake/bake.h"
 #include "prt/transfer/transfer.h"
@@ -39,36 +43,84 @@ void CompositeStage::take_what_is_behind(std::size_t index, const RadianceSh& sk
   ground_probes_.spread(index, more, objects_[index].prepared->baked.receiver->grid.size, deficit);
 }
 
-// What the object reflects onto the floor does not go through real things.
-void CompositeStage::take_hidden_reflections(std::size_t index, const RadianceSh& local,
-                                             const RadianceSh* lights) {
+namespace {
+
+// A light that the object does not get at all lets it send what it shows; half of it, too: from
+// there on less and less of that is mixed with what the bake expects, which has no noise.
+float fraction_as_shown(const RadianceSh& lights, const RadianceSh& lit) {
+  const float all = luminance(lights[0]), left = luminance(lit[0]);
+  return all > 0 ? std::clamp(2 * (1 - left / all), 0.f, 1.f) : 0;
+}
+
+// The middle of a point's cell of the ground grid, a plane for each colour.
+Rgb in_middle_of(std::size_t point, int size, std::span<const float> texels) {
+  const auto first = [size](std::size_t cell) {
+    return std::clamp((2 * static_cast<int>(cell) + 1) * size / (2 * GroundProbes::kSize) - 1, 0,
+                      std::max(size - 2, 0));
+  };
+  const int x0 = first(point % GroundProbes::kSize), y0 = first(point / GroundProbes::kSize);
+  const std::size_t stride = texels.size() / 3;
+  Rgb sum;
+  for (int y = y0; y < std::min(y0 + 2, size); ++y)
+    for (int x = x0; x < std::min(x0 + 2, size); ++x)
+      for (std::size_t c = 0; c < 3; ++c)
+        sum[static_cast<int>(c)] += texels[c * stride + static_cast<std::size_t>(y * size + x)];
+  return sum * .25f;
+}
+
+}  // namespace
+
+// What the object reflects onto the floor does not go through real things. Where something takes
+// the lights from the object, it sends what it shows, since what lies in light beside it may light
+// it from elsewhere than the bake has the floor do.
+void CompositeStage::correct_reflections(std::size_t index, const ObjectLight& light) {
   StageObject& o = objects_[index];
   const prt::BakedObject& baked = o.prepared->baked;
-  // Of a point's rays that meet the object, how many a real thing stops first, and all.
-  std::array<Rgb, GroundProbes::kPoints> rays{};
-  bool any = false;
+  const bool lights = light.lights.bands() > 1;
+  const float as_shown = lights ? fraction_as_shown(light.lights, light.receiver_lights) : 0;
+  constexpr float kPerRay = 1.f / GroundProbes::kRays;
+  // Of a point's rays that meet the object, how many a real thing stops first, all, and how many
+  // meet its back; and the light along those that nothing stops.
+  std::array<Rgb, GroundProbes::kPoints> rays{}, shown{};
+  bool any = as_shown > 0;
   for (const GroundHit& hit : ground_probes_.hits(index)) {
     if (!hit.bake_blocks) continue;
     rays[hit.point].g += 1;
-    if (hit.object_first) continue;
-    rays[hit.point].r += 1;
-    any = true;
+    rays[hit.point].b += hit.inside;
+    if (!hit.object_first) {
+      rays[hit.point].r += 1;
+      any = true;
+    } else if (as_shown > 0 && !hit.inside) {
+      shown[hit.point] += exit_of_object(index, hit.vertex) * kPerRay;
+    }
   }
   if (!any) return;
-  o.rays.assign(o.deficit.size(), 0);
-  ground_probes_.spread(index, rays, baked.receiver->grid.size, o.rays);
-  RadianceSh reflected = local.with_bands(baked.reflected.bands);
+  RadianceSh reflected = light.local.with_bands(baked.reflected.bands);
   if (lights)
-    for (int n = 0; n < reflected.size(); ++n) reflected[n] += (*lights)[n];
+    for (int n = 0; n < reflected.size(); ++n) reflected[n] += light.receiver_lights[n];
   o.more.resize(std::max(o.more.size(), o.deficit.size()));
   const std::span<float> more(o.more.data(), o.deficit.size());
   relight_reflected(o, PreparedObject::TransferPart::kGround, reflected, more);
+  const int size = baked.receiver->grid.size;
+  std::array<Rgb, GroundProbes::kPoints> expected{};
+  for (std::size_t p = 0; p < expected.size(); ++p) {
+    expected[p] = in_middle_of(p, size, more);
+    if (rays[p].b * kPerRay > .5f) shown[p] = expected[p];  // within the object
+  }
+  const Scratch::Scope scope;
+  const auto on_texels = [&](std::span<const Rgb, GroundProbes::kPoints> of_points) {
+    std::pmr::vector<float> out(o.deficit.size(), 0.f, scope.memory());
+    ground_probes_.spread(index, of_points, size, out);
+    return out;
+  };
+  const auto met = on_texels(rays), sent = on_texels(shown), baked_there = on_texels(expected);
   const std::size_t stride = more.size() / 3;
-  for (std::size_t texel = 0; texel < stride; ++texel) {
-    const float stopped = o.rays[texel], all = o.rays[stride + texel];
-    if (stopped <= 0) continue;
-    for (std::size_t c = 0; c < 3; ++c)
-      o.deficit[c * stride + texel] += stopped / all * more[c * stride + texel];
+  for (std::size_t i = 0; i < more.size(); ++i) {
+    const float stopped = met[i % stride], all = met[stride + i % stride];
+    const float past = stopped > 0 ? 1 - stopped / all : 1;
+    const float kept = baked_there[i] > 0 ? std::min(sent[i] / baked_there[i], 1.f) : 1;
+    const float added = std::max(sent[i] - std::max(baked_there[i], 0.f), 0.f);
+    o.deficit[i] += more[i] * (1 - std::lerp(past, kept, as_shown)) - as_shown * added;
   }
 }
 

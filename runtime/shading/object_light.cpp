@@ -5,6 +5,7 @@
 #include <numeric>
 
 #include "core/conventions.h"
+#include "core/threads/parallel.h"
 #include "core/threads/scratch.h"
 #include "lighting/estimate.h"
 #include "lighting/light_estimate.h"
@@ -169,15 +170,16 @@ void CompositeStage::see_surroundings(std::size_t index, const lighting::LightEs
               of_residual = residual > 0 ? local_residual / residual : 1,
               open = residual > 0 ? open_residual / residual : 1;
   all = residual > 0 ? all / residual : 1;
-  for (const ProbeHit& hit : surroundings_.hits(index)) {
-    if (hit.thing == ProbeHit::kProbe) continue;
+  const RadianceSh gone = difference(light, local);
+  const auto see = [&](const ProbeHit& hit) {
+    if (hit.thing == ProbeHit::kProbe) return;
     if (hit.thing == ProbeHit::kItself) {
       const float own =
           sent_on(baked.mesh.albedo[hit.vertex],
                   pose.rotation * glm::dvec3(baked.mesh.normals[hit.vertex]), local_irradiance);
       out.reflected[hit.probe] += own;
       out.reflected_left[hit.probe] += own;
-      continue;
+      return;
     }
     const bool thing = hit.thing != ProbeHit::kFloor;  // a real or a virtual one
     if (thing) out.around[hit.probe] += exit_of(hit) * weight;
@@ -188,10 +190,17 @@ void CompositeStage::see_surroundings(std::size_t index, const lighting::LightEs
     } else {
       out.around[hit.probe] += lighting::evaluate(local, glm::dvec3(hit.direction)) * -weight;
     }
-  }
-  const RadianceSh gone = difference(light, local);
-  for (const OpenRay& ray : surroundings_.open_rays(index))
-    out.around[ray.probe] += lighting::evaluate(gone, glm::dvec3(ray.direction)) * weight;
+  };
+  const auto hits = surroundings_.hits(index);
+  const auto open_rays = surroundings_.open_rays(index);
+  const auto parts = surroundings_.parts(index);
+  parallel_for(std::size_t{0}, parts.size(), [&](std::size_t i) {
+    const OcclusionProbes::ProbePart& part = parts[i];
+    for (std::size_t k = part.first_hit; k < part.last_hit; ++k) see(hits[k]);
+    for (std::size_t k = part.first_open; k < part.last_open; ++k)
+      out.around[open_rays[k].probe] +=
+          lighting::evaluate(gone, glm::dvec3(open_rays[k].direction)) * weight;
+  });
 }
 
 // How much of a distant light reaches the object past everything else: what it has to reflect onto
@@ -278,27 +287,36 @@ CompositeStage::SentLight CompositeStage::sent_at_probes(std::size_t light_index
   const Rgb power_per_ray = source.irradiance() * (weight / float(kPi));
   const Rgb of_floor = baked.receiver ? baked.receiver->albedo * std::max(0.f, towards.y) : Rgb{};
   SentLight out;
-  for (std::size_t k = 0; k < hits.size(); ++k) {
+  const auto see = [&](std::size_t k) {
     const ProbeHit& hit = hits[k];
     const bool itself = hit.thing == ProbeHit::kItself;
-    if ((!hit.above_floor && !itself) || (shade[k] & DirectLightStage::kByItself)) continue;
+    if ((!hit.above_floor && !itself) || (shade[k] & DirectLightStage::kByItself)) return;
     const Rgb sent = itself ? baked.mesh.albedo[hit.vertex] *
                                   std::max(0.f, glm::dot(baked.mesh.normals[hit.vertex], towards))
                             : of_floor;
     out.all[hit.probe] += luminance(sent);
     const bool in_sight = itself || hit.thing == ProbeHit::kFloor;
-    if (!in_sight || (shade[k] & DirectLightStage::kByOthers)) continue;
+    if (!in_sight || (shade[k] & DirectLightStage::kByOthers)) return;
     out.left[hit.probe] += luminance(sent);
     out.gathered[hit.probe] += sent * power_per_ray;
-  }
+  };
+  const auto parts = surroundings_.parts(index);
+  const auto for_hits = [&](const auto& body) {  // of other probes at the same time
+    parallel_for(std::size_t{0}, parts.size(), [&](std::size_t i) {
+      for (std::size_t k = parts[i].first_hit; k < parts[i].last_hit; ++k) body(k);
+    });
+  };
+  for_hits(see);
   if (out.left == out.all) return out;
   const auto first = out.gathered;
   for (int bounce = 0; bounce < kOwnBounces; ++bounce) {
     auto next = first;
-    for (const ProbeHit& hit : hits)
-      if (hit.thing == ProbeHit::kItself)
-        next[hit.probe] += baked.mesh.albedo[hit.vertex] *
-                           surroundings_.at_vertex(index, out.gathered, hit.vertex) * weight;
+    for_hits([&](std::size_t k) {
+      if (hits[k].thing == ProbeHit::kItself)
+        next[hits[k].probe] += baked.mesh.albedo[hits[k].vertex] *
+                               surroundings_.at_vertex(index, out.gathered, hits[k].vertex) *
+                               weight;
+    });
     out.gathered = next;
   }
   return out;

@@ -43,6 +43,8 @@ void GroundProbes::look_from_row(std::size_t object, int row,
   out.clear();
   const glm::dvec3 up = poses_[object].rotation * glm::dvec3(0, 1, 0);
   const glm::mat3 frame = prt::frame_around(glm::vec3(up));
+  const prt::Mesh& mesh = scene_->objects[object].baked.mesh;
+  const glm::quat bake_from_world(glm::conjugate(poses_[object].rotation));
   prt::RayScene::RayPacket directions;
   prt::RayWorld::Rays rays;
   for (int x = 0; x < kSize; ++x) {
@@ -65,6 +67,10 @@ void GroundProbes::look_from_row(std::size_t object, int row,
         hit.point = static_cast<std::uint16_t>(point);
         hit.bake_blocks = hit.object_first = own.mesh[i] >= 0;
         hit.direction = {rays.dx[i], rays.dy[i], rays.dz[i]};
+        if (hit.bake_blocks) {
+          hit.vertex = prt::nearest_corner(mesh, own.triangle[i], own.u[i], own.v[i]);
+          hit.inside = glm::dot(bake_from_world * hit.direction, mesh.normals[hit.vertex]) > 0;
+        }
         if (const auto met =
                 meet_real(scene_->planes, scene_->real_mesh, rays, real, i, RealPoint::kMesh)) {
           hit.real = true;

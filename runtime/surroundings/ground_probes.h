@@ -24,7 +24,9 @@ struct GroundHit {
   std::uint16_t point = 0;
   bool bake_blocks = false;   // the object stands in this direction
   bool object_first = false;  // and no real thing before it
+  bool inside = false;        // it is the back of the object that stands there
   bool real = false;          // something real is seen, or is behind the object; else the sky
+  std::uint32_t vertex = 0;   // of the object, the nearest
   RealPoint at;               // of that
   glm::vec3 direction{0};     // unit, world
 };

@@ -161,13 +161,18 @@ OcclusionProbes::OcclusionProbes(const PreparedScene& scene)
     o.centre = prt::bounds_of(mesh).centre();
     o.radius = prt::radius_around(mesh, o.centre);
     o.blocks.resize((o.probes.size() + kPerBlock - 1) / kPerBlock);
-    o.nearby.resize(mesh.positions.size());
     o.hits.reserve(kMaxHits);
     if (any_real()) o.open.reserve(kProbes * kRays);
     const VertexDistance distance(mesh);
-    parallel_for(std::size_t{0}, o.nearby.size(), [&](std::size_t v) {
-      o.nearby[v] = nearest_probes<Nearby>(distance, o.probes, v);
-    });
+    for (const bool fine : {false, true}) {
+      std::vector<Nearby>& nearby = o.nearby_of[fine];
+      const std::span<const std::uint32_t> probes = o.used_probes(fine);
+      nearby.resize(mesh.positions.size());
+      parallel_for(std::size_t{0}, nearby.size(), kGrain, [&](const auto& some) {
+        for (std::size_t v = some.begin(); v < some.end(); ++v)
+          nearby[v] = nearest_probes<Nearby>(distance, probes, v);
+      });
+    }
   }
 }
 
@@ -194,7 +199,7 @@ void OcclusionProbes::update(const shadows::RayOccluders& occluders, std::span<c
     Object& o = objects_[i];
     if (o.missed < kAtOnce && !(any_turn && &o == &*next)) continue;
     o.missed = 0;
-    o.rays = kRays;
+    o.is_fine = false;
     look_from(i, occluders);
   }
 }
@@ -222,8 +227,8 @@ bool OcclusionProbes::refine(const shadows::RayOccluders& occluders, bool at_onc
   bool any = false;
   for (std::size_t i = 0; i < objects_.size(); ++i) {
     Object& o = objects_[i];
-    if (!o.wants_fine || o.rays == kFineRays) continue;
-    o.rays = kFineRays;
+    if (!o.wants_fine || o.is_fine) continue;
+    o.is_fine = true;
     look_from(i, occluders);
     any = true;
   }
@@ -331,12 +336,15 @@ void OcclusionProbes::look_from(std::size_t index, const shadows::RayOccluders& 
   if (any_real())
     HiddenSphere(*scene_, index, pose, occluders, in.own_plane)
         .find_real(baked.receiver.has_value(), o.by_real);
-  parallel_for(std::size_t{0}, o.blocks.size(),
-               [&](std::size_t block) { look_from_block(o, block, in); });
+  const std::size_t blocks = (o.used_probes(o.is_fine).size() + kPerBlock - 1) / kPerBlock;
+  parallel_for(std::size_t{0}, blocks, [&](std::size_t block) { look_from_block(o, block, in); });
   ++o.hits_version;
   o.hits.clear();
+  o.parts.clear();
   o.open.clear();
-  for (const ProbeBlock& b : o.blocks) {
+  for (const ProbeBlock& b : std::span(o.blocks).first(blocks)) {
+    o.parts.push_back({o.hits.size(), o.hits.size() + b.hits.size(), o.open.size(),
+                       o.open.size() + b.open.size()});
     o.hits.insert(o.hits.end(), b.hits.begin(), b.hits.end());
     o.open.insert(o.open.end(), b.open.begin(), b.open.end());
   }
@@ -347,16 +355,18 @@ void OcclusionProbes::look_from_block(Object& o, std::size_t block, const Surrou
   ProbeBlock& out = o.blocks[block];
   out.hits.clear();
   out.open.clear();
-  const std::size_t first = block * kPerBlock, last = std::min(first + kPerBlock, o.probes.size());
+  const std::span<const std::uint32_t> probes = o.used_probes(o.is_fine);
+  const std::size_t first = block * kPerBlock, last = std::min(first + kPerBlock, probes.size());
   prt::RayScene::RayPacket packet;
-  const prt::RayPatterns& patterns = o.rays == kRays ? patterns_ : fine_patterns_;
+  const prt::RayPatterns& patterns = o.is_fine ? fine_patterns_ : patterns_;
+  const int packets = (o.is_fine ? kFineRays : kRays) / kPacket;
   for (std::size_t p = first; p < last; ++p) {
-    const std::uint32_t v = o.probes[p];
+    const std::uint32_t v = probes[p];
     const glm::vec3 n = in.turn * in.mesh().normals[v],
                     from = in.turn * in.mesh().positions[v] + in.shift + in.occluders.near_m * n;
     const glm::mat3 frame = prt::frame_around(n);
     out.hits.push_back({static_cast<std::uint16_t>(p), ProbeHit::kProbe, false, v, n, {}});
-    for (int block_of_rays = 0; block_of_rays < o.rays / kPacket; ++block_of_rays) {
+    for (int block_of_rays = 0; block_of_rays < packets; ++block_of_rays) {
       patterns.cosine_block(prt::RayPatterns::turn_of(p), block_of_rays, frame, packet);
       Met met;
       for (int i = 0; i < kPacket; ++i)
@@ -375,7 +385,7 @@ void OcclusionProbes::look_from_block(Object& o, std::size_t block, const Surrou
 
 void OcclusionProbes::spread(std::size_t object, std::span<const Rgb> of_probes,
                              std::span<float> out) const {
-  const std::vector<Nearby>& nearby = objects_[object].nearby;
+  const std::vector<Nearby>& nearby = objects_[object].nearby();
   const std::size_t stride = out.size() / 3;
   parallel_for(std::size_t{0}, nearby.size(), kGrain, [&](const auto& part) {
     for (std::size_t v = part.begin(); v < part.end(); ++v) {
@@ -399,7 +409,7 @@ std::optional<float> OcclusionProbes::left_at(const Nearby& nearby, const Values
 
 void OcclusionProbes::take_missing(std::size_t object, const Values& part, const Values& whole,
                                    std::span<const float> in, std::span<float> out) const {
-  const std::vector<Nearby>& nearby = objects_[object].nearby;
+  const std::vector<Nearby>& nearby = objects_[object].nearby();
   const std::size_t stride = out.size() / 3;
   parallel_for(std::size_t{0}, nearby.size(), kGrain, [&](const auto& vertices) {
     for (std::size_t v = vertices.begin(); v < vertices.end(); ++v) {
@@ -411,7 +421,7 @@ void OcclusionProbes::take_missing(std::size_t object, const Values& part, const
 
 Rgb OcclusionProbes::at_vertex(std::size_t object, std::span<const Rgb> of_probes,
                                std::size_t vertex) const {
-  const Nearby& near = objects_[object].nearby[vertex];
+  const Nearby& near = objects_[object].nearby()[vertex];
   Rgb sum;
   for (std::size_t k = 0; k < kNearest; ++k) sum += of_probes[near.probe[k]] * near.weight[k];
   return sum;
@@ -420,7 +430,7 @@ Rgb OcclusionProbes::at_vertex(std::size_t object, std::span<const Rgb> of_probe
 void OcclusionProbes::replace_shaded(std::size_t object, const Values& part, const Values& whole,
                                      std::span<const Rgb> gathered, std::span<const float> in,
                                      std::span<float> out) const {
-  const std::vector<Nearby>& nearby = objects_[object].nearby;
+  const std::vector<Nearby>& nearby = objects_[object].nearby();
   const std::size_t stride = out.size() / 3;
   parallel_for(std::size_t{0}, nearby.size(), kGrain, [&](const auto& vertices) {
     for (std::size_t v = vertices.begin(); v < vertices.end(); ++v) {

@@ -3,6 +3,7 @@
 // threads: thread-bound, parallel inside
 #pragma once
 
+#include <algorithm>
 #include <array>
 #include <cstdint>
 #include <glm/vec3.hpp>
@@ -46,10 +47,12 @@ struct OpenRay {
 };
 
 /// Probes are vertices, apart in place and normal, each with rays by the cosine. Every vertex lies
-/// between the nearest of them.
+/// between the nearest of them. The first few of them lie all over the object, too: those alone
+/// look around while anything moves, with fewer rays.
 class OcclusionProbes {
  public:
-  static constexpr int kProbes = 256, kRays = 32, kFineRays = 128, kNearest = 8, kSphereRays = 256;
+  static constexpr int kFewProbes = 256, kProbes = 1024, kRays = 32, kFineRays = 128, kNearest = 8,
+                       kSphereRays = 256;
   static constexpr std::size_t kMaxHits = kProbes * (kFineRays + 1);  // of an object
   static constexpr int kStillFrames = 8;  // what is dragged moves in steps
 
@@ -65,16 +68,22 @@ class OcclusionProbes {
   /// in:  occluders as made for this scene (as DirectLightStage::occluders)
   void update(const shadows::RayOccluders& occluders, std::span<const Pose> poses);
 
-  /// An object in deep shade asks for more rays: what little light reaches it comes from few
-  /// directions.
+  /// An object in deep shade asks for all probes: what little light reaches it comes from a small
+  /// part of what is around, which the next probe may not see.
   void want_fine(std::size_t object, bool wants) { objects_[object].wants_fine = wants; }
   /// Once a frame, after update(): when nothing has moved for kStillFrames, or `at_once`, looks
-  /// again from objects that ask for more rays. True where one did.
+  /// again from objects that ask for all probes. True where one did.
   bool refine(const shadows::RayOccluders& occluders, bool at_once = false);
 
   /// As last looked at; rays of weight 1/rays().
   std::span<const ProbeHit> hits(std::size_t object) const { return objects_[object].hits; }
-  int rays(std::size_t object) const { return objects_[object].rays; }
+  bool is_fine(std::size_t object) const { return objects_[object].is_fine; }
+  int rays(std::size_t object) const { return is_fine(object) ? kFineRays : kRays; }
+  /// Of some probes all hits and open rays, from the first to before the last.
+  struct ProbePart {
+    std::size_t first_hit, last_hit, first_open, last_open;
+  };
+  std::span<const ProbePart> parts(std::size_t object) const { return objects_[object].parts; }
   /// Another number each time that the hits are others.
   std::uint32_t hits_version(std::size_t object) const { return objects_[object].hits_version; }
   /// True where there is anything real but one plane.
@@ -120,17 +129,23 @@ class OcclusionProbes {
   };
   struct Object {
     std::vector<std::uint32_t> probes;  // vertices
-    std::vector<Nearby> nearby;         // by vertex
-    glm::vec3 centre{0};                // bake frame, in its first form
+    // By vertex, of the few and of all
+    std::array<std::vector<Nearby>, 2> nearby_of;
+    glm::vec3 centre{0};  // bake frame, in its first form
     float radius = 0;
     std::vector<ProbeBlock> blocks;
     std::vector<ProbeHit> hits;
+    std::vector<ProbePart> parts;
     std::vector<OpenRay> open;
     std::vector<RealHit> by_real;
-    int rays = kRays;
-    bool wants_fine = false;
+    bool is_fine = false, wants_fine = false;
     std::uint32_t hits_version = 0;
     double missed = 0;  // of its view, what has changed since it looked
+    const std::vector<Nearby>& nearby() const { return nearby_of[is_fine]; }
+    std::span<const std::uint32_t> used_probes(bool fine) const {
+      return std::span(probes).first(fine ? probes.size()
+                                          : std::min<std::size_t>(kFewProbes, probes.size()));
+    }
   };
   struct Surroundings;
   struct Met;
