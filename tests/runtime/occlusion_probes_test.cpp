@@ -61,12 +61,24 @@ TEST_F(ProbesBesideAWall, FractionsAreFormFactors) {
   EXPECT_FALSE(probes.open_rays(0).empty());
 }
 
-// Once it stands, and no sooner; what moves is looked from with few probes again.
-TEST_F(ProbesBesideAWall, MoreProbesTellMoreOfAnObjectThatStands) {
+// Once it stands, and no sooner; what moves is looked from with few rays of few probes again.
+TEST_F(ProbesBesideAWall, MoreRaysOfMoreProbesTellMoreOfAnObjectThatStands) {
   OcclusionProbes probes(scene);
   const Pose here, there{{1, 0, 0, 0}, dvec3(.1, 0, 0)};
+  const auto off = [&] {  // RMS, from the form factor of the open floor
+    std::array<double, OcclusionProbes::kProbes> floor{};
+    for (const ProbeHit& hit : probes.hits(0))
+      floor[hit.probe] += hit.thing == ProbeHit::kFloor ? 1. / probes.rays(0) : 0;
+    double sum = 0, count = 0;
+    for (const ProbeHit& hit : probes.hits(0))
+      if (hit.thing == ProbeHit::kProbe && hit.direction.x > .2f) {
+        sum += std::pow(floor[hit.probe] - (1 - double(hit.direction.y)) / 2, 2);
+        ++count;
+      }
+    return std::sqrt(sum / count);
+  };
   const prt::Mesh& mesh = scene.objects[0].baked.mesh;
-  const auto off = [&] {  // RMS over vertices, from the form factor of the open floor
+  const auto off_between = [&] {  // the same at vertices, which lie between probes
     std::vector<Rgb> floor(OcclusionProbes::kProbes);
     for (const ProbeHit& hit : probes.hits(0))
       if (hit.thing == ProbeHit::kFloor)
@@ -82,25 +94,27 @@ TEST_F(ProbesBesideAWall, MoreProbesTellMoreOfAnObjectThatStands) {
   };
   probes.update(occluders(), {&here, 1});
   EXPECT_FALSE(probes.refine(occluders(), true)) << "nobody asked";
-  const double coarse = off();
+  const double coarse = off(), coarse_between = off_between();
   const std::uint32_t before = probes.hits_version(0);
   probes.want_fine(0, true);
   EXPECT_TRUE(probes.refine(occluders(), true));
   EXPECT_FALSE(probes.refine(occluders(), true)) << "there is nothing finer";
   EXPECT_NE(probes.hits_version(0), before);
+  EXPECT_EQ(probes.rays(0), OcclusionProbes::kFineRays);
+  EXPECT_LT(off(), .5 * coarse);
+  EXPECT_LT(off_between(), .6 * coarse_between);
   EXPECT_TRUE(probes.is_fine(0));
-  EXPECT_LT(off(), .6 * coarse);
   // Dragged in steps of some frames it is not looked at finely between them.
   for (const Pose& step : {there, here, there}) {
     probes.update(occluders(), {&step, 1});
-    EXPECT_FALSE(probes.is_fine(0));
+    EXPECT_EQ(probes.rays(0), OcclusionProbes::kRays);
     for (int frame = 1; frame < OcclusionProbes::kStillFrames; ++frame) {
       probes.update(occluders(), {&step, 1});
       EXPECT_FALSE(probes.refine(occluders())) << frame;
     }
   }
   EXPECT_TRUE(probes.refine(occluders()));
-  EXPECT_TRUE(probes.is_fine(0));
+  EXPECT_EQ(probes.rays(0), OcclusionProbes::kFineRays);
 }
 
 // From what the bake has, where all is lit, to what was gathered, where nothing is.
