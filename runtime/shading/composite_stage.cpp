@@ -243,6 +243,9 @@ bool CompositeStage::relight_objects(const lighting::LightEstimate& light, bool 
 bool CompositeStage::shade(const lighting::LightEstimate& light, double seconds) {
   place_objects(seconds);
   const bool other_form = move_objects();
+  // Neighbours' shadows and those on real meshes follow a turn that no light shows.
+  const bool moved = (objects_.size() > 1 || real_.any()) && poses_ != poses_before_;
+  catches_up_ = std::exchange(exits_changed_, false) && !moved && !other_form;
   if (surroundings_.any()) {
     const StageTimer timer(times_, "occlusion probes");
     surroundings_.update(lights_.occluders(), poses_);
@@ -269,9 +272,8 @@ bool CompositeStage::shade(const lighting::LightEstimate& light, double seconds)
   lights_.shadows(planes_.irradiance(), on_planes_);
   lamps_.append(planes_.irradiance(), on_planes_);
   const bool relit = relight_objects(light, lamps_changed, other_form);
-  // Neighbours' shadows and those on real meshes follow a turn that no light shows.
-  const bool moved = (objects_.size() > 1 || real_.any()) && poses_ != poses_before_;
   if (!relit && !lights_changed && !moved && !measured) return false;
+  exits_changed_ = surroundings_.any();
   combine_object_shadows(poses_);
   light_planes(poses_);
   compositor_->set_shadow_maps(on_planes_);
@@ -391,7 +393,8 @@ bool CompositeStage::update_object(std::size_t index, const std::vector<Pose>& p
   const RadianceSh& residual =
       residual_for(estimate, stands_level(o.prepared->baked, poses[index]));
   const bool other_form = moved && o.prepared->animation;
-  if (!changed && !other_form && !may_differ(index, residual, poses[index])) return false;
+  if (!changed && !other_form && !catches_up_ && !may_differ(index, residual, poses[index]))
+    return false;
   ObjectLight light = light_at(index, estimate, poses);
   o.pose_seen = poses[index];
   o.hits_seen = surroundings_.hits_version(index);

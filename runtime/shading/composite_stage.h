@@ -269,6 +269,9 @@ class CompositeStage {
   Rgb floor_radiance_;                      // in the open; 0: unknown, or not all that is real
   std::vector<compositor::ShadowMapOnPlane> on_planes_;
   bool lit_before_ = false;
+  // In the last update something changed in what things send to each other; in this one nothing
+  // moves, so that all can see it as it is now.
+  bool exits_changed_ = false, catches_up_ = false;
 };
 
 }  // namespace penumbra::runtime
