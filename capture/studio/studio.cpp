@@ -42,18 +42,17 @@ Image<Rgb> film_environment(const RadianceWorld& world, int width, int height) {
 
 Image<Rgb> film_view(const RadianceWorld& world, const CameraInfo& camera) {
   constexpr int kSamples = 3;
-  const calib::CameraModel& p = camera.projection;
-  Image<Rgb> out(p.width, p.height);
-  parallel_for(0, p.height, [&](int y) {
-    for (int x = 0; x < p.width; ++x) {
+  const calib::CameraModel& lens = camera.projection;
+  Image<Rgb> out(lens.width, lens.height);
+  parallel_for(0, lens.height, [&](int y) {
+    for (int x = 0; x < lens.width; ++x) {
       Rgb sum;
       for (int k = 0; k < kSamples * kSamples; ++k) {
-        const double px = x + (k % kSamples + .5) / kSamples,
-                     py = y + (double(k / kSamples) + .5) / kSamples;
-        const glm::dvec3 d((px - p.principal_px.x) / p.focal_px.x,
-                           -(py - p.principal_px.y) / p.focal_px.y, -1);
-        sum += world.radiance(camera.world_from_camera.translation,
-                              glm::normalize(camera.world_from_camera.rotation * d));
+        const glm::dvec2 at(x + (k % kSamples + .5) / kSamples,
+                            y + (double(k / kSamples) + .5) / kSamples);
+        if (const auto d = calib::direction_from_pixel(lens, at))
+          sum += world.radiance(camera.world_from_camera.translation,
+                                glm::normalize(camera.world_from_camera.rotation * *d));
       }
       out.at(x, y) = sum * (1.f / (kSamples * kSamples));
     }
@@ -113,11 +112,12 @@ std::vector<CameraInfo> make_cameras(const StudioOptions& o) {
   CameraInfo view = environment;
   view.name = "view";
   view.role = Role::kView;
-  view.projection = {calib::ProjectionKind::kPinhole,
-                     o.view_width,
-                     o.view_height,
-                     {o.view_focal_px, o.view_focal_px},
-                     {o.view_width / 2., o.view_height / 2.}};
+  view.projection =
+      o.view_lens.value_or(calib::CameraModel{calib::ProjectionKind::kPinhole,
+                                              o.view_width,
+                                              o.view_height,
+                                              {o.view_focal_px, o.view_focal_px},
+                                              {o.view_width / 2., o.view_height / 2.}});
   view.psf_sigma_px = o.sensor.psf_sigma_px;
   view.vignetting = {-o.sensor.vignetting, 0, 0};
   view.world_from_camera = o.world_from_view;

@@ -10,6 +10,7 @@
 #include <span>
 #include <vector>
 
+#include "calib/camera/camera_model.h"
 #include "capture/frames.h"
 #include "capture/studio/sensor.h"
 #include "capture/studio/world.h"
@@ -26,6 +27,8 @@ struct StudioOptions {
   int view_width = 1280, view_height = 720;
   Pose world_from_view;  // where the view camera stands
   double view_focal_px = 1100;
+  /// Instead of a pinhole of that size and focal length. Its principal point is in the middle.
+  std::optional<calib::CameraModel> view_lens;
   double environment_fps = 30, view_fps = 30;
   std::vector<Exposure> schedule;  // of the environment camera; empty: chosen from the light
   // Nothing: chosen so that the floor is at 30 % of full scale
@@ -46,7 +49,7 @@ struct StudioOptions {
   int clip = 0;
 };
 
-/// The world seen by an environment camera (lat-long, at (0, 1, 0)) and a view camera (pinhole).
+/// The world seen by an environment camera (lat-long, at (0, 1, 0)) and a view camera.
 class Studio : public FrameSource {
  public:
   Studio(std::shared_ptr<const RadianceWorld> world, StudioOptions options);

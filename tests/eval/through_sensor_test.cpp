@@ -31,8 +31,9 @@ Image<Rgb> room() {
 }
 
 Result<SensorPoint> filmed(const SensorScene& scene, const Image<Rgb>& map,
-                           const SensorSettings& settings) {
-  PENUMBRA_ASSIGN(bench, SensorBench::make(scene));
+                           const SensorSettings& settings,
+                           SensorLens lens = SensorLens::kPinhole) {
+  PENUMBRA_ASSIGN(bench, SensorBench::make(scene, lens));
   PENUMBRA_ASSIGN(world, bench.trace("world", map, kReferenceError));
   return bench.measure(world, settings);
 }
@@ -62,6 +63,19 @@ TEST(ThroughSensor, ASunThatSaturatesEveryExposureCastsItsWholeShadow) {
   EXPECT_LT(got->sensor.shadow_rmse, .04);
   EXPECT_LT(got->sensor.shadow_rmse - got->true_map.shadow_rmse, .015);
   EXPECT_LT(got->sensor.object_rel_rmse, .04);
+}
+
+// In the view camera's own bent pixels, where the sun is recovered from its floor, too.
+TEST(ThroughSensor, ThroughALensItIsAsInTheWorld) {
+  for (const SensorLens lens : {SensorLens::kBarrel, SensorLens::kFisheye}) {
+    const auto got = filmed(box_on_floor(), sky(), kWebcam, lens);
+    ASSERT_FILMED(got);
+    const std::string_view name = kSensorLensNames[static_cast<std::size_t>(lens)];
+    EXPECT_FALSE(got->lower_bound) << name;
+    EXPECT_LT(got->sensor.shadow_rmse, .04) << name;
+    EXPECT_LT(got->sensor.shadow_rmse - got->true_map.shadow_rmse, .015) << name;
+    EXPECT_LT(got->sensor.object_rel_rmse, .04) << name;
+  }
 }
 
 // Real things beside the object: in the shade of a wall all light comes from around, on a block the

@@ -177,6 +177,7 @@ class BadConfiguration(CliTest):
                 (["--governor: cannot go with --animation"], "chart", "--animation", "Walk", "--governor", 3),
                 (["--bits: needs --through-sensor"], "chart", "--bits", 12),
                 (["--bits: is neither 8 nor 12"], "chart", "--through-sensor", "--bits", 9),
+                (["--view-lens: is none of pinhole"], "chart", "--through-sensor", "--view-lens", "bent"),
                 (["--shortest-exposure", "1/30 s"], "chart", "--through-sensor", "--shortest-exposure", 1),
                 (["--projection", "kb4 is none of"], "light", "estimate", "a.hdr", "--projection", "kb4"),
                 (["--budget: is not expected here"], "inspect", "a", "--budget"),

@@ -25,6 +25,7 @@ struct ChartOptions {
   bool stills = false;                      // of each case, for that
   int bits = 8;                             // of both cameras, for that
   double shortest_exposure_s = 1. / 64000;  // of the environment camera, for that
+  std::string view_lens = "pinhole";        // of the view camera, for that
   std::string animation;  // of the first asset: chart the compression of its transfer instead
   std::string light_map = "128x128";
   int frames = 100, samples = 512;

@@ -1,5 +1,6 @@
 #include <fmt/format.h>
 #include <CLI/CLI.hpp>
+#include <algorithm>
 
 #include "core/conventions.h"
 #include "core/io/files.h"
@@ -8,6 +9,7 @@
 #include "runtime/governor/governor_config.h"
 #include "runtime/scene/scene.h"
 #include "tools/chart/benches/chart_bench.h"
+#include "tools/chart/benches/through_sensor.h"
 #include "tools/chart/chart_environments.h"
 #include "tools/chart/chart_options.h"
 #include "tools/chart/chart_plot.h"
@@ -134,7 +136,7 @@ void add_chart(CLI::App& parent, Action& action) {
       "Measure error against time for many settings and for other methods; writes CSV and SVG");
   c->add_option("--out", chart_options.output, "Folder for the results")->capture_default_str();
   c->add_option("--environment", chart_options.environments,
-                "HDR environment maps, .exr or .hdr; by default the built-in ones");
+                "HDR environment maps: .exr, .hdr, or .jpg with a gain map; by default the built-in ones");
   c->add_flag("--with-procedural", chart_options.with_procedural,
               "Add the built-in environments to those of --environment");
   c->add_option("--asset", chart_options.assets,
@@ -180,6 +182,17 @@ void add_chart(CLI::App& parent, Action& action) {
   c->add_option("--shortest-exposure", chart_options.shortest_exposure_s,
                 "Shortest exposure time that the environment camera can take, seconds, above 0 and "
                 "at most 1/30")
+      ->capture_default_str()
+      ->needs(sensor)
+      ->group(kSensor);
+  c->add_option("--view-lens", chart_options.view_lens,
+                "What the view camera looks through: pinhole, barrel (a webcam's wide angle) or "
+                "fisheye")
+      ->check([](const std::string& text) {
+        return std::ranges::find(kSensorLensNames, text) != kSensorLensNames.end()
+                   ? ""
+                   : "is none of pinhole, barrel and fisheye";
+      })
       ->capture_default_str()
       ->needs(sensor)
       ->group(kSensor);

@@ -36,6 +36,7 @@ nlohmann::ordered_json sensor_row(const SensorPoint& p) {
           {"scene", p.scene},
           {"bits", p.settings.bits},
           {"shortest_exposure_s", p.settings.shortest_exposure.count()},
+          {"view_lens", kSensorLensNames[static_cast<std::size_t>(p.lens)]},
           {"exposures", p.exposures},
           {"lights", p.lights},
           {"bands", p.bands},
@@ -197,10 +198,12 @@ Result<void> chart_through_sensor(const ChartOptions& o) {
   PENUMBRA_ASSIGN(environments, environments_of(o));
   std::vector<std::string> assets = o.assets;
   if (assets.empty()) assets = {"builtin:knot", "builtin:walker"};
+  const auto lens = static_cast<SensorLens>(std::ranges::find(kSensorLensNames, o.view_lens) -
+                                            kSensorLensNames.begin());
   if (!o.json) print_sensor_header();
   std::vector<SensorPoint> points;
   for (const SensorScene& scene : sensor_scenes(assets)) {
-    PENUMBRA_ASSIGN(bench, SensorBench::make(scene));
+    PENUMBRA_ASSIGN(bench, SensorBench::make(scene, lens));
     for (const ChartEnvironment& e : environments) {
       PENUMBRA_ASSIGN(world, bench.trace(e.name, e.map, o.error.value_or(kSensorReferenceError)));
       PENUMBRA_ASSIGN(point, bench.measure(world, {o.bits, Seconds(o.shortest_exposure_s)}));

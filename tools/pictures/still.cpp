@@ -25,13 +25,6 @@ glm::dvec3 ray_of(const calib::CameraModel& lens, glm::dvec2 px) {
   return calib::direction_from_pixel(lens, px).value_or(glm::dvec3(0));
 }
 
-calib::CameraModel camera_of(const prt::PinholeView& view,
-                             const std::optional<calib::CameraModel>& lens) {
-  if (lens) return *lens;
-  return {calib::ProjectionKind::kPinhole, view.width, view.height, view.focal_px,
-          view.principal_px};
-}
-
 // Radiance of white paper that lies in the light, as runtime/shading/mirrored_surroundings.cpp.
 float emission_unit(const StillScene& in, const std::optional<lighting::LightEstimate>& light) {
   const glm::dvec3 up(0, 1, 0);
@@ -41,6 +34,13 @@ float emission_unit(const StillScene& in, const std::optional<lighting::LightEst
 }
 
 }  // namespace
+
+calib::CameraModel camera_of(const prt::PinholeView& view,
+                             const std::optional<calib::CameraModel>& lens) {
+  if (lens) return *lens;
+  return {calib::ProjectionKind::kPinhole, view.width, view.height, view.focal_px,
+          view.principal_px};
+}
 
 Rgb exact_irradiance(const Image<Rgb>& map, const glm::dvec3& normal) {
   double sum[3] = {};

@@ -30,6 +30,10 @@ struct StillScene {
   std::optional<calib::CameraModel> lens{};
 };
 
+/// The lens, or the view's own pinhole where there is none.
+calib::CameraModel camera_of(const prt::PinholeView& view,
+                             const std::optional<calib::CameraModel>& lens);
+
 using Progress = std::function<void(double)>;
 
 /// Of an unshadowed plane, from every pixel of the map.

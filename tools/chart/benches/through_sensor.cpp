@@ -28,18 +28,20 @@ constexpr int kSettling = 13, kAveraged = 8;
 constexpr double kStepSeconds = .3;  // a walker with one leg before the other
 constexpr double kVignetting = .3;   // of the view camera
 
-// A far map, and a picture of what stands before the view camera.
+// A far map, and a picture of what the view camera sees.
 class PicturedWorld : public capture::RadianceWorld {
  public:
-  PicturedWorld(const Image<Rgb>& map, const Image<Rgb>& picture, const prt::PinholeView& view)
-      : map_(map), picture_(picture), view_(view) {}
+  PicturedWorld(const Image<Rgb>& map, const Image<Rgb>& picture, const calib::CameraModel& lens,
+                const Pose& world_from_camera)
+      : map_(map), picture_(picture), lens_(lens), world_from_camera_(world_from_camera) {}
   Rgb far_radiance(const glm::dvec3& direction) const override {
     const glm::dvec2 at = latlong_pixel(direction, map_.width(), map_.height());
     return nearest(map_, at);
   }
   Rgb radiance(const glm::dvec3&, const glm::dvec3& direction) const override {
-    const glm::dvec3 d = glm::conjugate(view_.world_from_camera.rotation) * direction;
-    return nearest(picture_, view_.principal_px + view_.focal_px * glm::dvec2(-d.x, d.y) / d.z);
+    const auto at =
+        calib::pixel_of_lens(lens_, glm::conjugate(world_from_camera_.rotation) * direction);
+    return at ? nearest(picture_, *at) : Rgb{};
   }
 
  private:
@@ -48,7 +50,8 @@ class PicturedWorld : public capture::RadianceWorld {
                       std::clamp(static_cast<int>(std::floor(at.y)), 0, picture.height() - 1));
   }
   const Image<Rgb>&map_, &picture_;
-  prt::PinholeView view_;
+  calib::CameraModel lens_;
+  Pose world_from_camera_;
 };
 
 runtime::SceneObject object_at(const std::string& asset, const glm::dvec3& position) {
@@ -81,15 +84,21 @@ runtime::RealGeometry block(double size_m, const glm::dvec3& position) {
   return out;
 }
 
-prt::PinholeView sensor_view() {
+prt::PinholeView sensor_view(double focal_px) {
   return {kSensorWidth,
           kSensorHeight,
-          {280, 280},
+          {focal_px, focal_px},
           {kSensorWidth / 2., kSensorHeight / 2.},
           capture::look_at({.25, .95, 1.45}, {0, .15, 0})};
 }
 
+calib::CameraModel lens_of(calib::ProjectionKind kind, const prt::PinholeView& view,
+                           const std::array<double, 5>& distortion) {
+  return {kind, view.width, view.height, view.focal_px, view.principal_px, distortion};
+}
+
 capture::StudioOptions studio_options(const SensorSettings& settings, const prt::PinholeView& view,
+                                      const std::optional<calib::CameraModel>& lens,
                                       const Image<Rgb>& map) {
   capture::StudioOptions o;
   o.environment_width = map.width();
@@ -97,6 +106,7 @@ capture::StudioOptions studio_options(const SensorSettings& settings, const prt:
   o.view_width = view.width;
   o.view_height = view.height;
   o.view_focal_px = view.focal_px.x;
+  o.view_lens = lens;
   o.world_from_view = view.world_from_camera;
   o.view_fps = kViewFps;
   o.view_frames = kSettling + kAveraged;
@@ -149,7 +159,7 @@ std::vector<SensorScene> sensor_scenes(std::span<const std::string> assets) {
   return out;
 }
 
-Result<SensorBench> SensorBench::make(const SensorScene& scene) {
+Result<SensorBench> SensorBench::make(const SensorScene& scene, SensorLens lens) {
   SensorBench bench;
   bench.name_ = scene.name;
   bench.seconds_ = scene.seconds;
@@ -160,15 +170,22 @@ Result<SensorBench> SensorBench::make(const SensorScene& scene) {
     PENUMBRA_ASSIGN(told, runtime::prepare(*scene.told, {}, progress_bar));
     bench.given_ = std::make_shared<const runtime::PreparedScene>(std::move(told));
   }
-  bench.view_ = sensor_view();
-  PENUMBRA_ASSIGN(masks, make_masks(*bench.prepared_, bench.view_, scene.seconds));
+  // The wider the lens, the more of the floor it shows, and the smaller the object.
+  constexpr std::array<double, 3> kFocal_px{280, 240, 180};
+  bench.lens_kind_ = lens;
+  bench.view_ = sensor_view(kFocal_px[static_cast<std::size_t>(lens)]);
+  if (lens == SensorLens::kBarrel)
+    bench.lens_ = lens_of(calib::ProjectionKind::kPinhole, bench.view_, {-.25, .06, .001, -.001});
+  if (lens == SensorLens::kFisheye)
+    bench.lens_ = lens_of(calib::ProjectionKind::kKannalaBrandt, bench.view_, {-.03, .004});
+  PENUMBRA_ASSIGN(masks, make_masks(*bench.prepared_, bench.view_, scene.seconds, bench.lens_));
   bench.masks_ = std::move(masks);
   return bench;
 }
 
 Result<SensorBench::World> SensorBench::trace(const std::string& name,
                                               const Image<Rgb>& environment, double error) const {
-  const StillScene in{prepared_.get(), &environment, view_, seconds_};
+  const StillScene in{prepared_.get(), &environment, view_, seconds_, lens_};
   PENUMBRA_ASSIGN(empty, render_real(in, error, progress_bar(name + ", empty")));
   PENUMBRA_ASSIGN(full,
                   render_reference(in, true, error, std::nullopt, progress_bar(name + ", truth")));
@@ -231,15 +248,16 @@ Result<SensorError> SensorBench::under_true_map(const World& world, double full_
   Environment environment;
   environment.radiance = *world.environment;
   PENUMBRA_ASSIGN(light, estimator.estimate(environment));
-  PENUMBRA_ASSIGN(pipeline, make_still_pipeline(*given_, view_, {}));
+  PENUMBRA_ASSIGN(pipeline, make_still_pipeline(*given_, view_, {}, lens_));
   PENUMBRA_ASSIGN(ours, composite_still(pipeline, view_, light, world.empty, seconds_));
   return compare(ours.radiance, world.empty.radiance, world, full_scale);
 }
 
 Result<SensorPoint> SensorBench::measure(const World& world, const SensorSettings& settings) const {
   const auto pictured =
-      std::make_shared<PicturedWorld>(*world.environment, world.empty.radiance, view_);
-  capture::Studio studio(pictured, studio_options(settings, view_, *world.environment));
+      std::make_shared<PicturedWorld>(*world.environment, world.empty.radiance,
+                                      camera_of(view_, lens_), view_.world_from_camera);
+  capture::Studio studio(pictured, studio_options(settings, view_, lens_, *world.environment));
   PipelineOptions options;
   options.oversampling = 4;
   PENUMBRA_ASSIGN(pipeline, Pipeline::create(studio.cameras(), given_, options));
@@ -274,6 +292,7 @@ Result<SensorPoint> SensorBench::measure(const World& world, const SensorSetting
   out.environment = world.name;
   out.scene = name_;
   out.settings = settings;
+  out.lens = lens_kind_;
   out.exposures = static_cast<int>(studio.schedule().size());
   out.lights = static_cast<int>(pipeline.light().lights.size());
   out.bands = pipeline.light().light.bands();

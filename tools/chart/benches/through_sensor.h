@@ -2,10 +2,13 @@
 // measures light and composites, and a path-traced picture shows the world with the object in it.
 #pragma once
 
+#include <array>
+#include <cstdint>
 #include <memory>
 #include <optional>
 #include <span>
 #include <string>
+#include <string_view>
 #include <vector>
 
 #include "core/result.h"
@@ -29,6 +32,15 @@ struct SensorScene {
 /// three objects, one on a block and one before a wall.
 std::vector<SensorScene> sensor_scenes(std::span<const std::string> assets);
 
+/// What the view camera looks through.
+enum class SensorLens : std::uint8_t {
+  kPinhole,
+  kBarrel,   // a webcam's wide angle
+  kFisheye,
+};
+/// Their names in options and tables.
+inline constexpr std::array<std::string_view, 3> kSensorLensNames{"pinhole", "barrel", "fisheye"};
+
 struct SensorSettings {
   int bits = 8;  // of both cameras: 8 with the response of sRGB, 12 linear
   /// Of the environment camera; its schedule is chosen above that.
@@ -44,6 +56,7 @@ struct SensorError {
 struct SensorPoint {
   std::string environment, scene;
   SensorSettings settings;
+  SensorLens lens = SensorLens::kPinhole;
   int exposures = 0, lights = 0, bands = 0;
   bool lower_bound = false;               // of the plan: no error is promised
   std::optional<double> predicted_error;  // of the plan
@@ -55,7 +68,7 @@ struct SensorPoint {
 class SensorBench {
  public:
   /// errors: as runtime::prepare and make_masks
-  static Result<SensorBench> make(const SensorScene& scene);
+  static Result<SensorBench> make(const SensorScene& scene, SensorLens lens = SensorLens::kPinhole);
 
   struct World {
     std::string name;
@@ -78,7 +91,9 @@ class SensorBench {
   std::string name_;
   double seconds_ = 0;
   std::shared_ptr<const runtime::PreparedScene> prepared_, given_;
+  SensorLens lens_kind_ = SensorLens::kPinhole;
   prt::PinholeView view_;
+  std::optional<calib::CameraModel> lens_;  // instead of the view's pinhole
   Masks masks_;
 };
 

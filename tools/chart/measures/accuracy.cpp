@@ -16,15 +16,20 @@
 namespace penumbra::tools {
 
 Result<Masks> make_masks(const runtime::PreparedScene& scene, const prt::PinholeView& view,
-                         double seconds) {
+                         double seconds, const std::optional<calib::CameraModel>& lens) {
   // Sixteen samples a pixel call some full that are not: the sky behind them would count as the
   // object's error.
   constexpr int kFiner = 4;
   prt::PinholeView fine = view;
   fine.width *= kFiner, fine.height *= kFiner;
   fine.focal_px *= double(kFiner), fine.principal_px *= double(kFiner);
+  std::optional<calib::CameraModel> fine_lens = lens;
+  if (fine_lens) {
+    fine_lens->width *= kFiner, fine_lens->height *= kFiner;
+    fine_lens->focal_px *= double(kFiner), fine_lens->principal_px *= double(kFiner);
+  }
   const Image<Rgb> white(64, 32, {1, 1, 1});
-  const StillScene in{&scene, &white, fine, seconds};
+  const StillScene in{&scene, &white, fine, seconds, fine_lens};
   lighting::LightEstimate light;
   light.light[0] = light.upper_hemisphere_light[0] =
       Rgb{1, 1, 1} * static_cast<float>(std::sqrt(4 * kPi));
@@ -46,11 +51,9 @@ Result<Masks> make_masks(const runtime::PreparedScene& scene, const prt::Pinhole
         object &= a > 0 && std::abs(b - a) < 1e-3f;
         open &= a == 0;
       }
-      const glm::dvec3 d = view.world_from_camera.rotation *
-                           glm::dvec3((x + .5 - view.principal_px.x) / view.focal_px.x,
-                                      -(y + .5 - view.principal_px.y) / view.focal_px.y, -1);
+      const auto d = calib::direction_from_pixel(camera_of(view, lens), {x + .5, y + .5});
       masks.object.push_back(object);
-      masks.floor.push_back(open && d.y < 0);
+      masks.floor.push_back(open && d && (view.world_from_camera.rotation * *d).y < 0);
     }
   return masks;
 }
