@@ -68,16 +68,20 @@ Result<Reference> render_reference(const ReferenceWorld& world, const PinholeVie
   out.half_a = out.half_b = Image<Rgb>(view.width, view.height);
   int done = 0;
   double error = 1;
-  for (int pass = 4; done < options.max_samples / 2; pass = std::min(pass * 2, 64)) {
+  for (int pass = 4; done < options.max_samples / 2;) {
     const int count = std::min(pass, options.max_samples / 2 - done);
     render_half(tracer, view, options, 2 * options.seed, done, count, out.half_a);
     render_half(tracer, view, options, 2 * options.seed + 1, done, count, out.half_b);
     done += count;
     error = half_difference(out.half_a, out.half_b, done);
+    const double of_needed = std::pow(options.error / std::max(error, 1e-12), 2);
     if (options.progress)
-      options.progress(std::min(1., std::max(double(done) / (options.max_samples / 2),
-                                             std::pow(options.error / std::max(error, 1e-12), 2))));
+      options.progress(
+          std::min(1., std::max(double(done) / (options.max_samples / 2), of_needed)));
     if (error < options.error) break;
+    // No more than seem to be missing.
+    const double missing = std::min(1e6, done / of_needed - done);
+    pass = std::clamp(static_cast<int>(std::ceil(missing)), 2, std::min(2 * pass, 64));
   }
   const float scale = 1 / static_cast<float>(done);
   out.radiance = Image<Rgb>(view.width, view.height);

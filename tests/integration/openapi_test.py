@@ -303,6 +303,7 @@ class Changes(Described):
         self.wait_for("rest", same)
 
     def test_1_wrong_bodies_are_refused_and_change_nothing(self):
+        self.wait_for_objects()  # a bake that has not begun is quiet, too
         self.wait_until_quiet()
         before, tried = self.state(), 0
         for operation in self.operations:

@@ -150,7 +150,7 @@ TEST(AnimatedGroundTruth, MomentsUnderRealEnvironments) {
   const std::string only = asked ? asked : "immenstadter";
   const int moments = asked ? 20 : 2;
   PENUMBRA_NEED_SHARED(folder, "envmaps");
-  const auto scene = prepare_quickly(walker_scene({128, 128}), 512);
+  const auto scene = prepare_quickly(walker_scene({96, 96}), 128);
   ASSERT_TRUE(scene) << scene.error().detail;
   double square = 0;
   int count = 0;
