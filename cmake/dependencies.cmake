@@ -20,6 +20,7 @@ find_package(Ceres REQUIRED)
 find_package(PkgConfig REQUIRED)
 pkg_check_modules(Eigen3 REQUIRED IMPORTED_TARGET eigen3)
 pkg_check_modules(Exif REQUIRED IMPORTED_TARGET libexif)
+pkg_check_modules(TurboJPEG REQUIRED IMPORTED_TARGET libturbojpeg)
 # Its header alone: prt/bake/internal/tinygltf.h says why.
 pkg_check_modules(TinyGLTF REQUIRED tinygltf)
 pkg_check_modules(FFmpeg REQUIRED IMPORTED_TARGET libavformat libavcodec libavutil libswscale)

@@ -33,8 +33,8 @@ struct HdrImage {
 };
 
 /// Reads .exr (RGB, grey, luminance/chroma; scan lines or tiles, level 0; first part) or Radiance
-/// .hdr (RGBE or XYZE, old or new run lengths, any orientation, lines before the magic). Kind by
-/// content.
+/// .hdr (RGBE or XYZE, old or new run lengths, any orientation, lines before the magic), or a JPEG
+/// with a gain map (gain_map_jpeg.h). Kind by content.
 /// errors:  kNotFound, kUnreadable (truncated, damaged, no colour channels), kInvalid (too
 /// large)
 Result<HdrImage> read_hdr(const std::filesystem::path& path);

@@ -1,15 +1,20 @@
 #include "codec/gain_map_jpeg.h"
 
 #include <fmt/format.h>
+#include <turbojpeg.h>
 
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
+#include <memory>
 #include <string>
 #include <string_view>
+#include <variant>
 
 #include "codec/codec.h"
 #include "codec/display.h"
+#include "codec/internal/gain_map.h"
+#include "core/conventions.h"
 
 namespace penumbra::codec {
 
@@ -17,20 +22,11 @@ namespace {
 
 using JpegBytes = std::vector<unsigned char>;
 
-constexpr float kOffset = 1.f / 64;  // of both renditions, as the specification proposes
-constexpr std::string_view kXmp{"http://ns.adobe.com/xap/1.0/\0", 29};
+constexpr int kGainQuality = 100;
+constexpr float kSmallestOffset = 1.f / 4096;  // of both renditions: about the darkest code's light
 constexpr std::string_view kRdf =
     R"(<x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:RDF xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#"><rdf:Description rdf:about="" xmlns:hdrgm="http://ns.adobe.com/hdr-gain-map/1.0/" hdrgm:Version="1.0")";
 constexpr std::string_view kRdfEnd = "</rdf:RDF></x:xmpmeta>";
-
-// As it is up to half of white, then ever slower towards it; the slope has no step.
-float shoulder(float x) {
-  return x <= .5f ? x : 1 - .25f / x;
-}
-
-float max_channel(const Rgb& c) {
-  return std::max({c.r, c.g, c.b, 0.f});
-}
 
 // A marker segment: FF, marker, two bytes of length, text and data.
 void add_segment(JpegBytes& out, unsigned char marker, std::string_view head,
@@ -73,65 +69,152 @@ std::string picture_index(std::size_t first_size, std::size_t second_offset,
   return out;
 }
 
-struct Renditions {
-  Image<Rgb8> base, gains;
-  float max_log2 = 0;  // of the gain; the least is 0
+// The same for all channels.
+std::string iso_metadata(const GainMap& map) {
+  constexpr int kOneChannelInTheBasesPrimaries = 0x40;
+  constexpr double kDenominator = 1 << 20;
+  std::string out;
+  add_u16(out, 0), add_u16(out, 0);  // versions: what a reader needs, what wrote it
+  out += static_cast<char>(kOneChannelInTheBasesPrimaries);
+  for (const float v : {0.f, std::max(map.max_log2[0], .01f), map.min_log2[0], map.max_log2[0],
+                        map.gamma[0], map.base_offset[0], map.offset[0]}) {
+    add_u32(out, static_cast<std::uint32_t>(
+                     static_cast<std::int32_t>(std::lround(double{v} * kDenominator))));
+    add_u32(out, static_cast<std::size_t>(kDenominator));
+  }
+  return out;
+}
+
+std::string xmp_metadata(const GainMap& map) {
+  return fmt::format(
+      "{} hdrgm:GainMapMin=\"{:.6f}\" hdrgm:GainMapMax=\"{:.6f}\" hdrgm:Gamma=\"{:.6f}\" "
+      "hdrgm:OffsetSDR=\"{:.8f}\" hdrgm:OffsetHDR=\"{:.8f}\" hdrgm:HDRCapacityMin=\"0\" "
+      "hdrgm:HDRCapacityMax=\"{:.6f}\" hdrgm:BaseRenditionIsHDR=\"False\"/>{}",
+      kRdf, map.min_log2[0], map.max_log2[0], map.gamma[0], map.base_offset[0], map.offset[0],
+      std::max(map.max_log2[0], .01f), kRdfEnd);
+}
+
+// Of the base, with where the gain map is.
+std::string xmp_of_base(std::size_t gains_size, float exposure) {
+  return fmt::format(
+      R"({} xmlns:penumbra="{}" penumbra:Exposure="{:.9g}" xmlns:Container="http://ns.google.com/photos/1.0/container/" xmlns:Item="http://ns.google.com/photos/1.0/container/item/"><Container:Directory><rdf:Seq><rdf:li rdf:parseType="Resource"><Container:Item Item:Semantic="Primary" Item:Mime="image/jpeg"/></rdf:li><rdf:li rdf:parseType="Resource"><Container:Item Item:Semantic="GainMap" Item:Mime="image/jpeg" Item:Length="{}"/></rdf:li></rdf:Seq></Container:Directory></rdf:Description>{})",
+      kRdf, kExposureSpace, exposure, gains_size, kRdfEnd);
+}
+
+// The factor that leaves as much of the picture above the base as below it.
+float exposure_between(const Image<Rgb>& radiance, const Image<Rgb>& base) {
+  std::vector<float> ratios;
+  for (std::size_t i = 0; i < radiance.area(); ++i) {
+    const float lit = luminance(radiance.pixels()[i]), shown = luminance(base.pixels()[i]);
+    if (lit > 0 && shown > 0) ratios.push_back(shown / lit);
+  }
+  if (ratios.empty()) return 1;
+  const auto middle = ratios.begin() + static_cast<std::ptrdiff_t>(ratios.size() / 2);
+  std::ranges::nth_element(ratios, middle);
+  return std::isfinite(*middle) && *middle > 0 ? *middle : 1;
+}
+
+struct CodedGains {
+  GainMap map;
+  float exposure;
+  Image<Rgb8> codes;
 };
 
-Renditions split(const Image<Rgb>& pixels, float exposure) {
-  Image<Rgb> base(pixels.width(), pixels.height());
-  Image<float> log2(pixels.width(), pixels.height());
-  Renditions out;
-  for (std::size_t i = 0; i < pixels.area(); ++i) {
-    const Rgb lit = pixels.pixels()[i] * exposure;
-    const float most = max_channel(lit), shown = shoulder(most);
-    base.pixels()[i] = most > 0 ? lit * (shown / most) : Rgb{};
-    log2.pixels()[i] = std::log2((most + kOffset) / (shown + kOffset));
-    out.max_log2 = std::max(out.max_log2, log2.pixels()[i]);
-  }
-  out.max_log2 = std::max(out.max_log2, .01f);
-  out.base = to_display(FramePixels(std::move(base)));
-  out.gains = Image<Rgb8>(pixels.width(), pixels.height());
-  for (std::size_t i = 0; i < pixels.area(); ++i) {
-    const auto code = static_cast<std::uint8_t>(std::lround(255 * log2.pixels()[i] / out.max_log2));
-    out.gains.pixels()[i] = {code, code, code};
-  }
+// What lies below all but a thousandth of the values.
+float low_end(const Image<Rgb>& values) {
+  std::vector<float> all;
+  all.reserve(3 * values.area());
+  for (const Rgb& v : values.pixels()) all.insert(all.end(), {v.r, v.g, v.b});
+  const auto end = all.begin() + static_cast<std::ptrdiff_t>(all.size() / 1000);
+  std::ranges::nth_element(all, end);
+  return *end;
+}
+
+// A threshold of rounding that is even over any few pixels: where many have one value, as a lamp's
+// do, their light would else be off by half a step.
+// source: Roberts 2018, the R2 sequence
+float threshold(int x, int y, int channel) {
+  const double v = x * .7548776662466927 + y * .5698402909980532 + channel * .6180339887498949;
+  return static_cast<float>(v - std::floor(v));
+}
+
+CodedGains gains_between(const Image<Rgb>& base, const Image<Rgb>& radiance) {
+  CodedGains out{{}, exposure_between(radiance, base), Image<Rgb8>(base.width(), base.height())};
+  Image<Rgb> log2(base.width(), base.height());
+  float high = -1e30f;
+  for (std::size_t i = 0; i < base.area(); ++i)
+    for (int c = 0; c < 3; ++c) {
+      const float lit = std::max(radiance.pixels()[i][c], 0.f) * out.exposure;
+      const float gain =
+          std::log2((lit + kSmallestOffset) / (base.pixels()[i][c] + kSmallestOffset));
+      log2.pixels()[i][c] = gain;
+      high = std::max(high, gain);
+    }
+  const float low = std::min(low_end(log2), high - .01f);
+  out.map.min_log2.fill(low), out.map.max_log2.fill(high);
+  out.map.base_offset.fill(kSmallestOffset), out.map.offset.fill(kSmallestOffset);
+  for (int y = 0; y < base.height(); ++y)
+    for (int x = 0; x < base.width(); ++x) {
+      const auto code = [&](int channel, float gain) {
+        const float exact = 255 * std::max(gain - low, 0.f) / (high - low);
+        return static_cast<std::uint8_t>(std::min(exact + threshold(x, y, channel), 255.f));
+      };
+      const Rgb& g = log2.at(x, y);
+      out.codes.at(x, y) = {code(0, g.r), code(1, g.g), code(2, g.b)};
+    }
+  return out;
+}
+
+// At the colours' full resolution, which OpenCV's coder halves: gains of a small sun are in it.
+Result<JpegBytes> encode_gains(const Image<Rgb8>& codes) {
+  static_assert(sizeof(Rgb8) == 3);
+  const std::unique_ptr<void, int (*)(void*)> coder(tjInitCompress(), tjDestroy);
+  unsigned char* bytes = nullptr;
+  unsigned long size = 0;
+  const bool coded = coder && tjCompress2(coder.get(), &codes.pixels()[0].r, codes.width(), 0,
+                                          codes.height(), TJPF_RGB, &bytes, &size, TJSAMP_444,
+                                          kGainQuality, TJFLAG_ACCURATEDCT) == 0;
+  const std::unique_ptr<unsigned char, void (*)(unsigned char*)> owner(bytes, tjFree);
+  if (!coded) return fail(ErrorCode::kUnwritable, "gain map", tjGetErrorStr2(coder.get()));
+  return JpegBytes(bytes, bytes + size);
+}
+
+// A JPEG with more segments after its start.
+JpegBytes with_segments(const JpegBytes& jpeg, const JpegBytes& segments) {
+  JpegBytes out(jpeg.begin(), jpeg.begin() + 2);
+  out.insert(out.end(), segments.begin(), segments.end());
+  out.insert(out.end(), jpeg.begin() + 2, jpeg.end());
   return out;
 }
 
 }  // namespace
 
-Result<JpegBytes> encode_gain_map_jpeg(const Image<Rgb>& pixels, float exposure, int quality) {
-  if (pixels.empty()) return fail(ErrorCode::kInvalid, "picture", "is empty");
-  const Renditions both = split(pixels, exposure);
-  PENUMBRA_ASSIGN(base, encode_jpeg(both.base, quality));
-  PENUMBRA_ASSIGN(gains, encode_jpeg(both.gains, quality));
-  const auto start = [](JpegBytes& out, const JpegBytes& jpeg) {
-    out.assign(jpeg.begin(), jpeg.begin() + 2);
-  };
-  const auto end = [](JpegBytes& out, const JpegBytes& jpeg) {
-    out.insert(out.end(), jpeg.begin() + 2, jpeg.end());
-  };
-  JpegBytes second, first;
-  start(second, gains);
-  add_segment(second, 0xe1, kXmp,
-              fmt::format("{} hdrgm:GainMapMin=\"0\" hdrgm:GainMapMax=\"{:.6f}\" hdrgm:Gamma=\"1\" "
-                          "hdrgm:OffsetSDR=\"{:.6f}\" hdrgm:OffsetHDR=\"{:.6f}\" "
-                          "hdrgm:HDRCapacityMin=\"0\" hdrgm:HDRCapacityMax=\"{:.6f}\" "
-                          "hdrgm:BaseRenditionIsHDR=\"False\"/>{}",
-                          kRdf, both.max_log2, kOffset, kOffset, both.max_log2, kRdfEnd));
-  end(second, gains);
-  start(first, base);
-  add_segment(
-      first, 0xe1, kXmp,
-      fmt::format(
-          R"({} xmlns:Container="http://ns.google.com/photos/1.0/container/" xmlns:Item="http://ns.google.com/photos/1.0/container/item/"><Container:Directory><rdf:Seq><rdf:li rdf:parseType="Resource"><Container:Item Item:Semantic="Primary" Item:Mime="image/jpeg"/></rdf:li><rdf:li rdf:parseType="Resource"><Container:Item Item:Semantic="GainMap" Item:Mime="image/jpeg" Item:Length="{}"/></rdf:li></rdf:Seq></Container:Directory></rdf:Description>{})",
-          kRdf, second.size(), kRdfEnd));
-  constexpr std::string_view kMpf{"MPF\0", 4};
-  const std::size_t index_at = first.size() + 8;  // its byte order mark
-  const std::size_t first_size = first.size() + 8 + kIndexSize + base.size() - 2;
-  add_segment(first, 0xe2, kMpf, picture_index(first_size, first_size - index_at, second.size()));
-  end(first, base);
+Result<JpegBytes> encode_gain_map_jpeg(const Image<Rgb>& radiance, const Image<Rgb8>& base,
+                                       int quality) {
+  if (radiance.empty()) return fail(ErrorCode::kInvalid, "picture", "is empty");
+  if (!base.same_size(radiance))
+    return fail(ErrorCode::kInvalid, "base", "has another size than the radiance");
+  for (int y = 0; y < radiance.height(); ++y)
+    for (int x = 0; x < radiance.width(); ++x)
+      if (!is_finite(radiance.at(x, y)))
+        return fail(ErrorCode::kNonFinite, "picture",
+                    fmt::format("is not finite at pixel {}, {}", x, y));
+  PENUMBRA_ASSIGN(base_jpeg, encode_jpeg(base, quality));
+  PENUMBRA_ASSIGN(shown, decode_frame(base_jpeg, "base"));
+  const CodedGains gains = gains_between(linear_of(std::get<Image<Rgb8>>(shown)), radiance);
+  PENUMBRA_ASSIGN(gains_jpeg, encode_gains(gains.codes));
+  JpegBytes head;
+  add_segment(head, 0xe1, kXmpHead, xmp_metadata(gains.map));
+  add_segment(head, 0xe2, kIsoHead, iso_metadata(gains.map));
+  const JpegBytes second = with_segments(gains_jpeg, head);
+  head.clear();
+  add_segment(head, 0xe1, kXmpHead, xmp_of_base(second.size(), gains.exposure));
+  add_segment(head, 0xe2, kIsoHead, std::string(4, '\0'));  // its versions alone
+  const std::size_t index_at = 2 + head.size() + 8;         // its byte order mark
+  const std::size_t first_size = base_jpeg.size() + head.size() + 8 + kIndexSize;
+  add_segment(head, 0xe2, kPicturesHead,
+              picture_index(first_size, first_size - index_at, second.size()));
+  JpegBytes first = with_segments(base_jpeg, head);
   first.insert(first.end(), second.begin(), second.end());
   return first;
 }

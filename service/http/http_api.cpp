@@ -15,6 +15,7 @@
 
 #include "codec/codec.h"
 #include "codec/display.h"
+#include "codec/gain_map_jpeg.h"
 #include "core/io/log.h"
 #include "runtime/pipeline/report.h"
 #include "service/http/internal/context.h"
@@ -35,6 +36,18 @@ Result<std::shared_ptr<const std::string>> FrameJpeg::of(
     bytes_ = std::make_shared<const std::string>(jpeg.begin(), jpeg.end());
     frame_ = frame;
   }
+  return bytes_;
+}
+
+Result<std::shared_ptr<const std::string>> EnvironmentJpeg::of(
+    const std::shared_ptr<const Environment>& map) {
+  const std::scoped_lock lock(mutex_);
+  if (map_ == map) return bytes_;
+  if (map_ && map->time < map_->time) tone_.restart();  // a capture that began anew
+  PENUMBRA_ASSIGN(base, tone_.map(map->radiance, map->time));
+  PENUMBRA_ASSIGN(jpeg, codec::encode_gain_map_jpeg(map->radiance, base.pixels));
+  bytes_ = std::make_shared<const std::string>(jpeg.begin(), jpeg.end());
+  map_ = map;
   return bytes_;
 }
 

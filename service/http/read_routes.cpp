@@ -7,7 +7,6 @@
 
 #include "codec/codec.h"
 #include "codec/display.h"
-#include "codec/gain_map_jpeg.h"
 #include "core/conventions.h"
 #include "core/io/files.h"
 #include "runtime/pipeline/report.h"
@@ -77,25 +76,13 @@ json histogram_of(const Environment& map) {
   return {{"first_log2", kFirst}, {"step_log2", 1}, {"fraction", fraction}};
 }
 
-// A fifth of white for the mean logarithm, as a photographer's meter.
-float preview_exposure(const Environment& map) {
-  double sum = 0;
-  std::size_t count = 0;
-  for (const Rgb& c : map.radiance.pixels()) {
-    if (!(luminance(c) > 0)) continue;
-    sum += std::log(luminance(c));
-    ++count;
-  }
-  return static_cast<float>(.2 / (count > 0 ? std::exp(sum / static_cast<double>(count)) : 1));
-}
-
 void get_environment(HttpContext& context, const std::string& kind, Response& r) {
   const auto map = context.sources.state.environment();
   if (!map) return no_light_yet(r);
   if (kind == ".jpg") {
-    const auto jpeg = codec::encode_gain_map_jpeg(map->radiance, preview_exposure(*map));
+    const auto jpeg = context.environment_jpeg.of(map);
     if (!jpeg) return refuse(r, jpeg.error());
-    return r.set_content(reinterpret_cast<const char*>(jpeg->data()), jpeg->size(), "image/jpeg");
+    return r.set_content(**jpeg, "image/jpeg");
   }
   if (!kind.empty())
     return reply_with_file(

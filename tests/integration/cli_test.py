@@ -525,6 +525,21 @@ class Tonemap(CliTest):
         self.show("sun.hdr", "--operator", "bilateral", "--detail", detail)
         self.assertEqual(files.read_png(detail)[:2], (64, 32))
 
+    def test_a_gain_map_lights_as_the_picture_that_it_was_made_of(self):
+        lit = self.root / "sun.jpg"
+        self.run_json("tonemap", self.root / "sun.hdr", "-o", lit, "--gain-map")
+        light = [self.run_json("light", "estimate", self.root / name) for name in ("sun.hdr", "sun.jpg")]
+        for truth, got in zip(light[0]["mean_radiance"], light[1]["mean_radiance"]):
+            self.assert_close(got, truth, 0.03 * truth)
+        told = self.run_json("inspect", lit)
+        self.assertEqual(told["kind"], "HDR picture")
+        self.assert_close(told["largest_luminance"] / 20000, 1, 0.03)
+        plain = self.root / "plain.jpg"
+        self.run_json("tonemap", self.root / "sun.hdr", "-o", plain)
+        self.expect_refusal(["plain.jpg", "without a gain map"], "light", "estimate", plain)
+        self.expect_refusal(["--gain-map", "JPEG"], "tonemap", self.root / "sun.hdr", "-o", self.root / "sun.png",
+                            "--gain-map")
+
     def test_bad_input_is_one_line(self):
         out = self.root / "out" / "shown.png"
         for name in ("nowhere.hdr", "cut.hdr", "huge.hdr", "a.png"):

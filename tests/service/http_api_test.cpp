@@ -18,6 +18,7 @@
 #include <thread>
 #include <vector>
 
+#include "codec/gain_map_jpeg.h"
 #include "service/scene/scene_reload.h"
 #include "tests/support/gl.h"
 #include "tests/support/temp_folder.h"
@@ -471,6 +472,22 @@ TEST(HttpApi, PicturesAndMapsComeInTheFormatsThatAreAskedFor) {
   double sum = 0;
   for (const auto& part : map["histogram"]["fraction"]) sum += part.get<double>();
   EXPECT_NEAR(sum, 1, 1e-9);
+}
+
+// Whoever asks gets the radiance, not its picture alone; the light lasts, and so do its bytes.
+TEST(HttpApi, TheEnvironmentsJpegHoldsItsRadiance) {
+  Served s;
+  publish_something(s.state);
+  const std::string jpeg = s.client->Get("/v1/environment.jpg")->body;
+  const auto got = codec::decode_gain_map_jpeg(
+      {reinterpret_cast<const unsigned char*>(jpeg.data()), jpeg.size()}, "environment.jpg");
+  ASSERT_TRUE(got) << got.error().detail;
+  const Image<Rgb> truth = capture::make_room_environment(128, 64);
+  const RadianceSh light = lighting::project_latlong(truth, 3)->light,
+                   back = lighting::project_latlong(got->pixels, 3)->light;
+  for (int n = 0; n < light.size(); ++n)
+    EXPECT_NEAR(luminance(back[n]), luminance(light[n]), .01f * luminance(light[0])) << n;
+  EXPECT_EQ(s.client->Get("/v1/environment.jpg")->body, jpeg);
 }
 
 TEST(HttpApi, EnginesGetTheLightInTheirOwnConvention) {

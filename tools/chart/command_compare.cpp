@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "codec/codec.h"
+#include "codec/gain_map_jpeg.h"
 #include "codec/display.h"
 #include "core/conventions.h"
 #include "core/io/files.h"
@@ -44,7 +45,7 @@ struct ReadPicture {
 };
 
 Result<ReadPicture> read_any(const std::string& path) {
-  PENUMBRA_ASSIGN(frame, codec::read_frame(path));
+  PENUMBRA_ASSIGN(frame, codec::read_picture(path));
   if (auto* linear = std::get_if<Image<Rgb>>(&frame)) return ReadPicture{std::move(*linear)};
   const auto scaled = [](const auto& in, float full) {
     Image<Rgb> out(in.width(), in.height());

@@ -16,6 +16,7 @@
 #include "capture/recording/folder_format.h"
 #include "capture/recording/recording.h"
 #include "codec/codec.h"
+#include "codec/gain_map_jpeg.h"
 #include "core/conventions.h"
 #include "core/io/files.h"
 #include "core/io/toml_keys.h"
@@ -91,7 +92,7 @@ Result<json> inspect_baked(const std::string& file) {
 }
 
 Result<json> inspect_picture(const std::string& file) {
-  PENUMBRA_ASSIGN(frame, codec::read_frame(file));
+  PENUMBRA_ASSIGN(frame, codec::read_picture(file));
   json out = {{"width", capture::width(frame)}, {"height", capture::height(frame)}};
   const auto* linear = std::get_if<Image<Rgb>>(&frame);
   if (!linear) {

@@ -3,10 +3,12 @@
 
 #include <algorithm>
 #include <cmath>
+#include <filesystem>
 #include <optional>
 #include <string>
 
 #include "codec/codec.h"
+#include "codec/gain_map_jpeg.h"
 #include "codec/tone/tone_mapping.h"
 #include "core/io/files.h"
 #include "core/io/log.h"
@@ -22,7 +24,7 @@ struct TonemapOptions {
   std::string input, output, op = "level-set";
   std::optional<std::string> detail;
   tone::ToneOptions tone;
-  bool json = false;
+  bool gain_map = false, json = false;
 };
 
 // Grey where there is none; a hundred steps of the code to a factor of e.
@@ -62,7 +64,20 @@ void report_tone(const TonemapOptions& o, const tone::ToneMapped& mapped) {
              luminance(s.high), luminance(s.median));
 }
 
+Result<void> write_gain_map(const std::string& path, const Image<Rgb>& radiance,
+                            const Image<Rgb8>& base) {
+  PENUMBRA_ASSIGN(jpeg, codec::encode_gain_map_jpeg(radiance, base));
+  return write_bytes(path, {reinterpret_cast<const char*>(jpeg.data()), jpeg.size()});
+}
+
+Result<void> check_is_jpeg(const std::string& path) {
+  const std::string extension = std::filesystem::path(path).extension();
+  if (extension == ".jpg" || extension == ".jpeg") return {};
+  return fail(ErrorCode::kInvalid, "--gain-map", "needs a JPEG: " + path + " is none by its name");
+}
+
 Result<void> tonemap(TonemapOptions o) {
+  if (o.gain_map) PENUMBRA_TRY(check_is_jpeg(o.output));
   PENUMBRA_TRY(check_writable(o.output));
   if (o.detail) PENUMBRA_TRY(check_writable(*o.detail));
   auto op = tone::parse_tone_operator(o.op);
@@ -80,7 +95,8 @@ Result<void> tonemap(TonemapOptions o) {
   if (o.detail && mapped->detail.empty())
     return fail(ErrorCode::kInvalid, "--detail",
                 fmt::format("{} separates no detail: level-set and bilateral do", o.op));
-  PENUMBRA_TRY(codec::write_frame(o.output, mapped->pixels));
+  PENUMBRA_TRY(o.gain_map ? write_gain_map(o.output, input.pixels, mapped->pixels)
+                          : codec::write_frame(o.output, mapped->pixels));
   if (o.detail) PENUMBRA_TRY(codec::write_frame(*o.detail, picture_of_detail(mapped->detail)));
   report_tone(o, *mapped);
   return {};
@@ -91,7 +107,7 @@ Result<void> tonemap(TonemapOptions o) {
 void add_tonemap(CLI::App& parent, Action& action) {
   static TonemapOptions o;
   auto* c = parent.add_subcommand("tonemap", "Show an HDR picture on an ordinary display");
-  c->add_option("input", o.input, "HDR picture, .exr or .hdr")->required();
+  c->add_option("input", o.input, "HDR picture: .exr, .hdr, or .jpg with a gain map")->required();
   c->add_option("-o,--output", o.output, "Picture to write: PNG, JPEG or TIFF")->required();
   c->add_option("--operator", o.op,
                 "level-set, photographic, photographic-local, bilateral or filmic")
@@ -123,6 +139,8 @@ void add_tonemap(CLI::App& parent, Action& action) {
                 "Decades that the bilateral base is compressed to, 0.1 to 8")
       ->capture_default_str()
       ->check(within(.1, 8));
+  c->add_flag("--gain-map", o.gain_map,
+              "Keep the radiance in the JPEG, beside the picture that old viewers show");
   c->add_option("--detail", o.detail, "Also write the detail, as a grey picture");
   add_json(c, o.json);
   c->callback([&] { action = [] { return tonemap(o); }; });

@@ -11,6 +11,8 @@
 #include <nlohmann/json.hpp>
 #include <string>
 
+#include "codec/tone/temporal_tone.h"
+#include "core/environment.h"
 #include "core/threads/stage_times.h"
 #include "service/http/http_api.h"
 
@@ -24,6 +26,19 @@ class FrameJpeg {
  private:
   std::mutex mutex_;
   std::shared_ptr<const FramePixels> frame_;
+  std::shared_ptr<const std::string> bytes_;
+};
+
+/// The newest environment map as JPEG with a gain map, made once however many clients ask. What its
+/// base is adapted to follows the light as an eye does, so that a row of them does not flicker.
+class EnvironmentJpeg {
+ public:
+  Result<std::shared_ptr<const std::string>> of(const std::shared_ptr<const Environment>& map);
+
+ private:
+  std::mutex mutex_;
+  tone::TemporalTone tone_{{.op = tone::ToneOperator::kPhotographic}};
+  std::shared_ptr<const Environment> map_;
   std::shared_ptr<const std::string> bytes_;
 };
 
@@ -48,6 +63,7 @@ struct HttpContext {
   const HttpOptions options;
   const HttpSources sources;
   FrameJpeg jpeg;
+  EnvironmentJpeg environment_jpeg;
   RecentStages stages;
   std::atomic<bool> stopping = false;
   std::atomic<int> streams = 0;
