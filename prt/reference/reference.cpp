@@ -76,8 +76,7 @@ Result<Reference> render_reference(const ReferenceWorld& world, const PinholeVie
     error = half_difference(out.half_a, out.half_b, done);
     const double of_needed = std::pow(options.error / std::max(error, 1e-12), 2);
     if (options.progress)
-      options.progress(
-          std::min(1., std::max(double(done) / (options.max_samples / 2), of_needed)));
+      options.progress(std::min(1., std::max(double(done) / (options.max_samples / 2), of_needed)));
     if (error < options.error) break;
     // No more than seem to be missing.
     const double missing = std::min(1e6, done / of_needed - done);

@@ -31,8 +31,7 @@ Image<Rgb> room() {
 }
 
 Result<SensorPoint> filmed(const SensorScene& scene, const Image<Rgb>& map,
-                           const SensorSettings& settings,
-                           SensorLens lens = SensorLens::kPinhole) {
+                           const SensorSettings& settings, SensorLens lens = SensorLens::kPinhole) {
   PENUMBRA_ASSIGN(bench, SensorBench::make(scene, lens));
   PENUMBRA_ASSIGN(world, bench.trace("world", map, kReferenceError));
   return bench.measure(world, settings);

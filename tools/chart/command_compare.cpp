@@ -9,8 +9,8 @@
 #include <vector>
 
 #include "codec/codec.h"
-#include "codec/gain_map_jpeg.h"
 #include "codec/display.h"
+#include "codec/gain_map_jpeg.h"
 #include "core/conventions.h"
 #include "core/io/files.h"
 #include "runtime/pipeline/report.h"

@@ -254,9 +254,8 @@ Result<SensorError> SensorBench::under_true_map(const World& world, double full_
 }
 
 Result<SensorPoint> SensorBench::measure(const World& world, const SensorSettings& settings) const {
-  const auto pictured =
-      std::make_shared<PicturedWorld>(*world.environment, world.empty.radiance,
-                                      camera_of(view_, lens_), view_.world_from_camera);
+  const auto pictured = std::make_shared<PicturedWorld>(
+      *world.environment, world.empty.radiance, camera_of(view_, lens_), view_.world_from_camera);
   capture::Studio studio(pictured, studio_options(settings, view_, lens_, *world.environment));
   PipelineOptions options;
   options.oversampling = 4;

@@ -35,7 +35,7 @@ std::vector<SensorScene> sensor_scenes(std::span<const std::string> assets);
 /// What the view camera looks through.
 enum class SensorLens : std::uint8_t {
   kPinhole,
-  kBarrel,   // a webcam's wide angle
+  kBarrel,  // a webcam's wide angle
   kFisheye,
 };
 /// Their names in options and tables.

@@ -17,8 +17,7 @@ struct Masks {
 };
 /// errors: as render_composite
 Result<Masks> make_masks(const runtime::PreparedScene& scene, const prt::PinholeView& view,
-                         double seconds = 0,
-                         const std::optional<calib::CameraModel>& lens = {});
+                         double seconds = 0, const std::optional<calib::CameraModel>& lens = {});
 
 /// The floor in shadow: where its mean radiance within four pixels is below .95 of that without the
 /// object. By a pixel's own noise those would be chosen whose truth came out too dark.
