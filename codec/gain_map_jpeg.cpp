@@ -23,6 +23,7 @@ namespace {
 using JpegBytes = std::vector<unsigned char>;
 
 constexpr int kGainQuality = 100;
+constexpr float kBrightest = 0x1p48f;          // over white: as far as gains of 64 stops reach
 constexpr float kSmallestOffset = 1.f / 4096;  // of both renditions: about the darkest code's light
 constexpr std::string_view kRdf =
     R"(<x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:RDF xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#"><rdf:Description rdf:about="" xmlns:hdrgm="http://ns.adobe.com/hdr-gain-map/1.0/" hdrgm:Version="1.0")";
@@ -111,7 +112,17 @@ float exposure_between(const Image<Rgb>& radiance, const Image<Rgb>& base) {
   if (ratios.empty()) return 1;
   const auto middle = ratios.begin() + static_cast<std::ptrdiff_t>(ratios.size() / 2);
   std::ranges::nth_element(ratios, middle);
-  return std::isfinite(*middle) && *middle > 0 ? *middle : 1;
+  return std::isnormal(*middle) && std::isnormal(1 / *middle) ? *middle : 1;
+}
+
+Image<Rgb> linear_of(const Image<Rgb8>& picture) {
+  const std::array<float, 256> linear = linear_codes();
+  Image<Rgb> out(picture.width(), picture.height());
+  for (std::size_t i = 0; i < out.area(); ++i) {
+    const Rgb8& c = picture.pixels()[i];
+    out.pixels()[i] = {linear[c.r], linear[c.g], linear[c.b]};
+  }
+  return out;
 }
 
 struct CodedGains {
@@ -144,7 +155,8 @@ CodedGains gains_between(const Image<Rgb>& base, const Image<Rgb>& radiance) {
   float high = -1e30f;
   for (std::size_t i = 0; i < base.area(); ++i)
     for (int c = 0; c < 3; ++c) {
-      const float lit = std::max(radiance.pixels()[i][c], 0.f) * out.exposure;
+      const float lit =
+          std::clamp(radiance.pixels()[i][c], 0.f, kBrightest / out.exposure) * out.exposure;
       const float gain =
           std::log2((lit + kSmallestOffset) / (base.pixels()[i][c] + kSmallestOffset));
       log2.pixels()[i][c] = gain;

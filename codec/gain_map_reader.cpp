@@ -1,14 +1,14 @@
 // Gain maps of any maker: Adobe's XMP or ISO 21496-1, one channel or three, of the base's size or
 // smaller.
-#include <fmt/format.h>
-
 #include <algorithm>
 #include <array>
 #include <charconv>
 #include <cmath>
 #include <cstdint>
+#include <glm/common.hpp>
 #include <glm/mat3x3.hpp>
 #include <glm/matrix.hpp>
+#include <glm/vec3.hpp>
 #include <optional>
 #include <string>
 #include <string_view>
@@ -38,12 +38,13 @@ struct Segment {
 
 // The segments before the picture's data; all that can be read of them.
 std::vector<Segment> segments_of(Bytes jpeg) {
+  constexpr std::size_t kMax = 1000;  // an ICC profile or an XMP that goes on takes some dozens
   std::vector<Segment> out;
   detail::Numbers in{jpeg};
   for (std::size_t at = 2;;) {
     while (in.at(at, 1) == 0xff) ++at;
     const std::uint32_t marker = in.at(at, 1);
-    if (!in.ok || at < 3 || marker == 0xda || marker == 0xd9) return out;
+    if (!in.ok || at < 3 || marker == 0xda || marker == 0xd9 || out.size() == kMax) return out;
     const std::size_t length = in.at(++at, 2);
     if (!in.ok || length < 2 || jpeg.size() - at < length) return out;
     out.push_back({marker, jpeg.subspan(at + 2, length - 2)});
@@ -74,10 +75,15 @@ std::optional<float> number(std::string_view text) {
 std::vector<std::string_view> xmp_values(std::string_view xmp, std::string_view name) {
   const std::size_t at = xmp.find(name);
   if (at == std::string_view::npos) return {};
-  std::string_view rest = xmp.substr(at + name.size());
-  if (rest.starts_with("=\"")) {
-    rest.remove_prefix(2);
-    return {rest.substr(0, rest.find('"'))};
+  const auto trimmed = [](std::string_view text) {
+    return text.substr(std::min(text.find_first_not_of(" \t\r\n"), text.size()));
+  };
+  std::string_view rest = trimmed(xmp.substr(at + name.size()));
+  if (rest.starts_with('=')) {
+    rest = trimmed(rest.substr(1));
+    if (!rest.starts_with('"') && !rest.starts_with('\'')) return {};
+    const std::string_view value = rest.substr(1);
+    return {value.substr(0, value.find(rest[0]))};
   }
   if (!rest.starts_with(">")) return {};
   rest.remove_prefix(1);
@@ -127,31 +133,35 @@ struct Fractions {
   detail::Numbers in;
   std::size_t at;
   std::optional<std::uint32_t> common{};
-  float next() {
-    const auto numerator = static_cast<std::int32_t>(in.at(at, 4));
+  float next(bool is_signed = true) {
+    const std::uint32_t bits = in.at(at, 4);
+    const double numerator = is_signed ? static_cast<std::int32_t>(bits) : double(bits);
     at += 4;
     std::uint32_t denominator = common.value_or(0);
     if (!common) denominator = in.at(at, 4), at += 4;
     in.ok = in.ok && denominator != 0;
-    return denominator ? static_cast<float>(double(numerator) / denominator) : 0;
+    return denominator ? static_cast<float>(numerator / denominator) : 0;
   }
 };
 
 std::optional<GainMap> from_iso(Bytes data) {
-  constexpr std::uint32_t kChannels = 0x80, kBackward = 0x04, kCommonDenominator = 0x08;
+  // The last two are of the drafts; some programs still write them.
+  constexpr std::uint32_t kChannels = 0x80, kBasePrimaries = 0x40, kBackward = 0x04,
+                          kCommonDenominator = 0x08;
   detail::Numbers in{data};
   if (in.at(0, 2) != 0) return {};  // of a version that none of ours reads
   const std::uint32_t flags = in.at(4, 1);
   Fractions read{in, 5};
   if (flags & kCommonDenominator) read.common = in.at(5, 4), read.at = 9;
-  read.next(), read.next();  // headrooms of screens
+  const float of_base = read.next(false), of_other = read.next(false);  // headroom, stops
   GainMap out;
-  out.base_is_hdr = (flags & kBackward) != 0;
+  out.base_is_hdr = (flags & kBackward) || of_base > of_other;
+  out.in_base_primaries = (flags & kBasePrimaries) != 0;
   const std::size_t channels = flags & kChannels ? 3 : 1;
   const std::array<std::array<float, 3>*, 5> all{&out.min_log2, &out.max_log2, &out.gamma,
                                                  &out.base_offset, &out.offset};
   for (std::size_t c = 0; c < channels; ++c)
-    for (auto* const of : all) (*of)[c] = read.next();
+    for (auto* const of : all) (*of)[c] = read.next(of != &out.gamma);
   if (channels == 1)
     for (auto* const of : all) of->fill((*of)[0]);
   if (!read.in.ok) return {};
@@ -175,42 +185,47 @@ std::optional<GainMap> metadata_of(Bytes jpeg) {
   return map && is_plausible(*map) ? map : std::nullopt;
 }
 
-// Where the pictures after the first begin, by the index of pictures; else by the length that the
-// XMP of the first one tells of the last.
-std::vector<Bytes> further_pictures(Bytes file, const std::vector<Segment>& segments) {
+// Where the pictures after the first begin, by the index of pictures.
+std::vector<Bytes> indexed_pictures(Bytes file, const Segment& segment) {
+  constexpr std::size_t kMax = 16;
+  const Bytes index = segment.after(kPicturesHead);
+  const auto start = static_cast<std::size_t>(index.data() - file.data());
+  detail::Numbers in{index, !index.empty() && index[0] == 'M'};
+  const std::size_t directory = in.at(4, 4), tags = in.at(directory, 2);
+  std::size_t entry = directory + 2;
+  for (std::size_t i = 0; i < tags && in.ok && in.at(entry, 2) != 0xb002; ++i) entry += 12;
+  const std::size_t count = in.at(entry + 4, 4) / 16, list = in.at(entry + 8, 4);
   std::vector<Bytes> out;
-  const auto add = [&](std::size_t at, std::size_t size) {
-    constexpr std::size_t kMax = 16;
-    if (out.size() < kMax && at > 0 && at < file.size() && size <= file.size() - at &&
-        is_jpeg(file.subspan(at, size)))
+  for (std::size_t k = 1; in.ok && in.at(entry, 2) == 0xb002 && k < std::min(count, kMax); ++k) {
+    const std::size_t size = in.at(list + 16 * k + 4, 4), offset = in.at(list + 16 * k + 8, 4),
+                      at = start + offset;
+    if (in.ok && offset > 0 && at < file.size() && size <= file.size() - at)
       out.push_back(file.subspan(at, size));
-  };
-  for (const Segment& s : segments) {
-    if (s.marker != 0xe2 || !s.starts_with(kPicturesHead)) continue;
-    const Bytes index = s.after(kPicturesHead);
-    const auto start = static_cast<std::size_t>(index.data() - file.data());
-    detail::Numbers in{index, !index.empty() && index[0] == 'M'};
-    const std::size_t directory = in.at(4, 4), entries = in.at(directory, 2);
-    for (std::size_t i = 0; i < entries && in.ok; ++i) {
-      const std::size_t entry = directory + 2 + 12 * i;
-      if (in.at(entry, 2) != 0xb002) continue;
-      const std::size_t bytes = in.at(entry + 4, 4), at = in.at(entry + 8, 4);
-      for (std::size_t k = 16; k + 16 <= bytes && in.ok; k += 16) {
-        const std::size_t size = in.at(at + k + 4, 4), offset = in.at(at + k + 8, 4);
-        if (in.ok && offset > 0) add(start + offset, size);
-      }
-    }
-  }
-  if (!out.empty()) return out;
-  const std::string_view xmp = xmp_of(segments);
-  const std::size_t map = xmp.find("Item:Semantic=\"GainMap\"");
-  if (map == std::string_view::npos) return out;
-  if (const auto size = xmp_numbers(xmp.substr(map), "Item:Length");
-      size && (*size)[0] > 0 && double((*size)[0]) < double(file.size())) {
-    const auto bytes = static_cast<std::size_t>((*size)[0]);
-    add(file.size() - bytes, bytes);
   }
   return out;
+}
+
+// The last picture, by the length that the XMP of the first one tells.
+std::optional<Bytes> last_picture(Bytes file, std::string_view xmp) {
+  const std::size_t map = xmp.find("Item:Semantic=\"GainMap\"");
+  if (map == std::string_view::npos) return {};
+  // Whichever of the item's attributes comes first.
+  const std::size_t item = std::min(xmp.rfind('<', map), map);
+  const auto told = xmp_values(xmp.substr(item, xmp.find('>', map) - item), "Item:Length");
+  std::size_t size = 0;
+  if (told.empty() ||
+      std::from_chars(told[0].data(), told[0].data() + told[0].size(), size).ec != std::errc() ||
+      size == 0 || size >= file.size())
+    return {};
+  return file.last(size);
+}
+
+std::vector<Bytes> further_pictures(Bytes file, const std::vector<Segment>& segments) {
+  for (const Segment& s : segments)
+    if (s.marker == 0xe2 && s.starts_with(kPicturesHead))
+      if (auto found = indexed_pictures(file, s); !found.empty()) return found;
+  const auto last = last_picture(file, xmp_of(segments));
+  return last ? std::vector{*last} : std::vector<Bytes>();
 }
 
 struct FoundGainMap {
@@ -219,7 +234,8 @@ struct FoundGainMap {
 };
 std::optional<FoundGainMap> find_gain_map(Bytes file, const std::vector<Segment>& segments) {
   for (const Bytes& picture : further_pictures(file, segments))
-    if (const auto map = metadata_of(picture)) return FoundGainMap{picture, *map};
+    if (const auto map = is_jpeg(picture) ? metadata_of(picture) : std::nullopt)
+      return FoundGainMap{picture, *map};
   return {};
 }
 
@@ -254,17 +270,22 @@ std::optional<Primaries> primaries_of(const std::vector<Segment>& segments) {
   return {};
 }
 
-// To Rec.709; nothing where the base already is.
-std::optional<glm::mat3> to_rec709(const std::vector<Segment>& segments) {
-  const auto own = primaries_of(segments);
-  if (!own) return {};
-  const glm::dmat3 out = glm::inverse(kRec709D50) * *own;
+// Of a picture without a profile: Rec.709. The same where profiles round.
+Primaries primaries_or_rec709(const std::vector<Segment>& segments) {
+  return primaries_of(segments).value_or(kRec709D50);
+}
+bool are_same(const Primaries& a, const Primaries& b) {
   double apart = 0;
   for (int i = 0; i < 3; ++i)
-    for (int k = 0; k < 3; ++k) apart = std::max(apart, std::abs(out[i][k] - (i == k)));
-  constexpr double kSame = .003;  // profiles round
-  if (apart < kSame || apart > 2) return {};
-  return glm::mat3(out);
+    for (int k = 0; k < 3; ++k) apart = std::max(apart, std::abs(a[i][k] - b[i][k]));
+  return apart < .003;
+}
+
+// To Rec.709; nothing where the base already is.
+std::optional<glm::mat3> to_rec709(const std::vector<Segment>& segments) {
+  const Primaries own = primaries_or_rec709(segments);
+  if (are_same(own, kRec709D50)) return {};
+  return glm::mat3(glm::inverse(kRec709D50) * own);
 }
 
 // Between the four nearest pixels of a map that may be smaller than the base.
@@ -316,20 +337,24 @@ Result<HdrImage> decode_gain_map_jpeg(std::span<const unsigned char> jpeg,
   const GainMap& map = found->map;
   if (map.base_is_hdr)
     return fail(ErrorCode::kInvalid, name, "has a gain map from a base that is the brighter one");
-  PENUMBRA_ASSIGN(shown, decode_picture(jpeg, name));
+  if (!map.in_base_primaries &&
+      !are_same(primaries_or_rec709(segments), primaries_or_rec709(segments_of(found->picture))))
+    return fail(ErrorCode::kInvalid, name, "has a gain map in other primaries than its base");
+  PENUMBRA_ASSIGN(base, decode_picture(jpeg, name));
   PENUMBRA_ASSIGN(codes, decode_picture(found->picture, name + ", gain map"));
   const auto exposure = xmp_numbers(xmp_of(segments), "penumbra:Exposure");
-  const float scale = exposure && (*exposure)[0] > 0 ? 1 / (*exposure)[0] : 1;
+  const float scale = exposure && std::isnormal(1 / (*exposure)[0]) ? 1 / (*exposure)[0] : 1;
   const auto rec709 = to_rec709(segments);
-  const Image<Rgb> base = linear_of(shown);
+  const std::array<float, 256> linear = linear_codes();
   const ScaledCodes gains(codes, base.width(), base.height());
   HdrImage out{Image<Rgb>(base.width(), base.height()), 0, {}, {}};
   for (int y = 0; y < base.height(); ++y)
     for (int x = 0; x < base.width(); ++x) {
       const Rgb code = gains.at(x, y);
-      glm::vec3 lit;
-      for (int c = 0; c < 3; ++c)
-        lit[c] = map.radiance(static_cast<std::size_t>(c), base.at(x, y)[c], code[c]);
+      const Rgb8& shown = base.at(x, y);
+      glm::vec3 lit(map.radiance(0, linear[shown.r], code.r),
+                    map.radiance(1, linear[shown.g], code.g),
+                    map.radiance(2, linear[shown.b], code.b));
       if (rec709) lit = *rec709 * lit;
       lit = glm::max(lit, glm::vec3(0)) * scale;
       out.pixels.at(x, y) = {lit.x, lit.y, lit.z};
@@ -340,9 +365,9 @@ Result<HdrImage> decode_gain_map_jpeg(std::span<const unsigned char> jpeg,
 
 Result<FramePixels> read_picture(const std::filesystem::path& path) {
   PENUMBRA_ASSIGN(bytes, read_bytes(path));
-  if (!has_gain_map(bytes)) return read_frame(path);
-  PENUMBRA_ASSIGN(hdr, decode_gain_map_jpeg(bytes, path.string()));
-  return std::move(hdr.pixels);
+  auto hdr = is_jpeg(bytes) ? decode_gain_map_jpeg(bytes, path.string()) : HdrImage{};
+  if (!hdr || hdr->pixels.empty()) return read_frame(path);
+  return std::move(hdr->pixels);
 }
 
 }  // namespace penumbra::codec

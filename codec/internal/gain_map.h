@@ -19,6 +19,7 @@ struct GainMap {
   std::array<float, 3> base_offset{1.f / 64, 1.f / 64, 1.f / 64};
   std::array<float, 3> offset{1.f / 64, 1.f / 64, 1.f / 64};
   bool base_is_hdr = false;
+  bool in_base_primaries = true;
 
   float radiance(std::size_t c, float base, float code) const {
     const float part = gamma[c] == 1 ? code : std::pow(code, 1 / gamma[c]);
@@ -33,16 +34,11 @@ constexpr std::string_view kPicturesHead{"MPF\0", 4};
 // Of our own: the factor on radiance that makes 1 the white of the base.
 constexpr std::string_view kExposureSpace = "urn:penumbra:gain-map:1.0";
 
-/// Of sRGB codes.
-inline Image<Rgb> linear_of(const Image<Rgb8>& picture) {
-  std::array<float, 256> linear{};
-  for (std::size_t code = 0; code < linear.size(); ++code)
-    linear[code] = linear_from_srgb(static_cast<float>(code) / 255);
-  Image<Rgb> out(picture.width(), picture.height());
-  for (std::size_t i = 0; i < out.area(); ++i) {
-    const Rgb8& c = picture.pixels()[i];
-    out.pixels()[i] = {linear[c.r], linear[c.g], linear[c.b]};
-  }
+/// Linear light of sRGB codes.
+inline std::array<float, 256> linear_codes() {
+  std::array<float, 256> out{};
+  for (std::size_t code = 0; code < out.size(); ++code)
+    out[code] = linear_from_srgb(static_cast<float>(code) / 255);
   return out;
 }
 

@@ -240,12 +240,15 @@ bool CompositeStage::relight_objects(const lighting::LightEstimate& light, bool 
   return relit;
 }
 
-bool CompositeStage::shade(const lighting::LightEstimate& light, double seconds) {
+bool CompositeStage::shade(const lighting::LightEstimate& light, double seconds, int camera) {
+  const bool another_view = shaded_s_ == seconds && camera != shaded_camera_;
+  if (!another_view) shaded_s_ = seconds, shaded_camera_ = camera;
   place_objects(seconds);
   const bool other_form = move_objects();
   // Neighbours' shadows and those on real meshes follow a turn that no light shows.
   const bool moved = (objects_.size() > 1 || real_.any()) && poses_ != poses_before_;
-  catches_up_ = std::exchange(exits_changed_, false) && !moved && !other_form;
+  catches_up_ = exits_changed_ && !another_view && !moved && !other_form;
+  exits_changed_ &= another_view;
   if (surroundings_.any()) {
     const StageTimer timer(times_, "occlusion probes");
     surroundings_.update(lights_.occluders(), poses_);
@@ -561,7 +564,7 @@ compositor::View CompositeStage::view_of(const capture::Frame& frame) {
 
 Result<void> CompositeStage::process(const capture::Frame& frame,
                                      const lighting::LightEstimate& light, Composited& out) {
-  const bool relit = shade(light, (frame.time - TimestampNs{0}).count());
+  const bool relit = shade(light, (frame.time - TimestampNs{0}).count(), frame.camera);
   const StageTimer timer(times_, "composite");
   PENUMBRA_ASSIGN(touched, compositor_->composite(view_of(frame), *frame.pixels, out.pixels));
   out.touched = touched;
@@ -572,7 +575,7 @@ Result<void> CompositeStage::process(const capture::Frame& frame,
 
 Result<void> CompositeStage::draw(const capture::Frame& frame, const lighting::LightEstimate& light,
                                   TimestampNs scene_time, PendingFrame& out) {
-  out.relit_ = shade(light, (scene_time - TimestampNs{0}).count());
+  out.relit_ = shade(light, (scene_time - TimestampNs{0}).count(), frame.camera);
   const Stopwatch watch;
   out.camera_ = frame.pixels;
   out.opacity_ = frame.opacity;

@@ -117,7 +117,8 @@ class CompositeStage {
                                                            const AskForDarker& ask);
   /// The part of process() that depends on the light: relights objects and renews shadows where
   /// something changed visibly.
-  bool shade(const lighting::LightEstimate& light, double seconds);
+  /// camera: of the frame; a second one at the same time sees what the first one does
+  bool shade(const lighting::LightEstimate& light, double seconds, int camera = 0);
   /// From now on time counts: what is traced live keeps to its own. Before, results are the same on
   /// every machine.
   void keep_time() { keeps_time_ = true; }
@@ -272,6 +273,8 @@ class CompositeStage {
   // In the last update something changed in what things send to each other; in this one nothing
   // moves, so that all can see it as it is now.
   bool exits_changed_ = false, catches_up_ = false;
+  std::optional<double> shaded_s_;  // the last moment, and the camera that came first in it
+  int shaded_camera_ = 0;
 };
 
 }  // namespace penumbra::runtime

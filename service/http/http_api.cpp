@@ -41,9 +41,11 @@ Result<std::shared_ptr<const std::string>> FrameJpeg::of(
 
 Result<std::shared_ptr<const std::string>> EnvironmentJpeg::of(
     const std::shared_ptr<const Environment>& map) {
+  constexpr Seconds kOvertaken(1);  // further back a capture began anew
   const std::scoped_lock lock(mutex_);
-  if (map_ == map) return bytes_;
-  if (map_ && map->time < map_->time) tone_.restart();  // a capture that began anew
+  const Seconds step = map_ ? map->time - map_->time : Seconds(0);
+  if (map_ == map || (step < Seconds(0) && step > -kOvertaken)) return bytes_;
+  if (step < Seconds(0)) tone_.restart();
   PENUMBRA_ASSIGN(base, tone_.map(map->radiance, map->time));
   PENUMBRA_ASSIGN(jpeg, codec::encode_gain_map_jpeg(map->radiance, base.pixels));
   bytes_ = std::make_shared<const std::string>(jpeg.begin(), jpeg.end());

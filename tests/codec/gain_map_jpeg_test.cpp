@@ -212,17 +212,50 @@ std::string be32(std::uint32_t value) {
   return out;
 }
 
-// The binary form with one denominator for all, over what XMP says otherwise.
+// The standard's metadata; of each value a denominator, or one for all.
+std::string iso(unsigned char flags, const std::vector<int>& values, int version = 0) {
+  std::string out("urn:iso:std:iso:ts:21496:-1\0", 28);
+  out += {'\0', static_cast<char>(version), '\0', '\0', static_cast<char>(flags)};
+  const bool common = (flags & 8) != 0;
+  if (common) out += be32(100);
+  for (const int v : values) out += be32(static_cast<std::uint32_t>(v)) + (common ? "" : be32(100));
+  return out;
+}
+
+Result<HdrImage> decoded(const Bytes& base, const Bytes& gains) {
+  return decode_gain_map_jpeg(file_of(base, gains), "file");
+}
+
 TEST(GainMapJpeg, TheStandardsMetadataCountsBeforeXmp) {
-  std::string iso("urn:iso:std:iso:ts:21496:-1\0", 28);
-  iso += std::string(4, '\0') + '\x48' + be32(100);  // one channel, one denominator
-  for (const int v : {0, 300, -100, 300, 100, 0, 0}) iso += be32(static_cast<std::uint32_t>(v));
-  Bytes gains = with_segment(jpeg_of(even(16, 16, {255, 255, 255})), segment(0xe2, iso));
-  gains = with_segment(gains, segment(0xe1, xmp("<rdf:Description hdrgm:GainMapMax=\"1\"/>")));
-  const auto got =
-      decode_gain_map_jpeg(file_of(jpeg_of(even(16, 16, {188, 188, 188})), gains), "file");
-  ASSERT_TRUE(got) << got.error().detail;
-  EXPECT_NEAR(got->pixels.at(8, 8).g, 8 * linear(188), .05);
+  const Bytes grey = jpeg_of(even(16, 16, {188, 188, 188})),
+              full = with_segment(jpeg_of(even(16, 16, {255, 255, 255})),
+                                  segment(0xe1, xmp("<rdf:Description hdrgm:GainMapMax='1'/>")));
+  const auto of = [&](const std::string& metadata) {
+    return decoded(grey, with_segment(full, segment(0xe2, metadata)));
+  };
+  const std::vector<int> headroom{0, 300}, red{-100, 300, 100, 0, 0}, green{0, 200, 100, 0, 0},
+      blue{0, 100, 200, 0, 0};
+  const auto together = [](std::initializer_list<std::vector<int>> parts) {
+    std::vector<int> out;
+    for (const auto& p : parts) out.insert(out.end(), p.begin(), p.end());
+    return out;
+  };
+  for (const unsigned char flags : {0x40, 0x48}) {
+    const auto got = of(iso(flags, together({headroom, red})));
+    ASSERT_TRUE(got) << got.error().detail;
+    EXPECT_NEAR(got->pixels.at(8, 8).g, 8 * linear(188), .05) << int{flags};
+  }
+  const auto apart = of(iso(0xc0, together({headroom, red, green, blue})));
+  ASSERT_TRUE(apart) << apart.error().detail;
+  EXPECT_NEAR(apart->pixels.at(8, 8).r, 8 * linear(188), .05);
+  EXPECT_NEAR(apart->pixels.at(8, 8).g, 4 * linear(188), .03);
+  EXPECT_NEAR(apart->pixels.at(8, 8).b, 2 * linear(188), .02);
+  const auto later = of(iso(0x40, together({headroom, red}), 1));
+  ASSERT_TRUE(later) << "what XMP says is left";
+  EXPECT_NEAR(later->pixels.at(8, 8).g, 2 * linear(188), .05);
+  const auto brighter = of(iso(0x40, together({{300, 0}, red})));
+  ASSERT_FALSE(brighter);
+  EXPECT_NE(brighter.error().detail.find("brighter"), std::string::npos);
 }
 
 // Phones film in Display P3; its red is out of Rec.709's.
@@ -256,6 +289,12 @@ TEST(GainMapJpeg, ABaseInDisplayP3ComesInRec709) {
   ASSERT_TRUE(red);
   EXPECT_NEAR(red->pixels.at(8, 8).r, 2 * 1.2249, .03) << "JPEG's red is 254";
   EXPECT_EQ(red->pixels.at(8, 8).g, 0) << "no light is negative";
+  // Gains in the primaries of a map without a profile.
+  const auto mixed =
+      decoded(with_segment(jpeg_of(even(16, 16, {255, 0, 0})), profile),
+              with_segment(gains, segment(0xe2, iso(0, {0, 100, 0, 100, 100, 0, 0}))));
+  ASSERT_FALSE(mixed);
+  EXPECT_NE(mixed.error().detail.find("primaries"), std::string::npos);
 }
 
 TEST(GainMapJpeg, WhatIsNoGainMapIsRefusedByItsReason) {
@@ -270,6 +309,7 @@ TEST(GainMapJpeg, WhatIsNoGainMapIsRefusedByItsReason) {
         "file");
   };
   EXPECT_TRUE(told("hdrgm:GainMapMax=\"1\""));
+  EXPECT_TRUE(told("hdrgm:GainMapMax = '1'"));
   EXPECT_FALSE(told("hdrgm:GainMapMin=\"1\"")) << "the greatest gain has no default";
   EXPECT_FALSE(told("hdrgm:GainMapMax=\"nan\""));
   EXPECT_FALSE(told("hdrgm:GainMapMax=\"1e9\""));
@@ -278,6 +318,21 @@ TEST(GainMapJpeg, WhatIsNoGainMapIsRefusedByItsReason) {
                 .error()
                 .detail.find("brighter"),
             std::string::npos);
+}
+
+// Any finite radiance makes a file that can be read.
+TEST(GainMapJpeg, ExtremeRadianceIsKeptAsFarAsItGoes) {
+  Image<Rgb> wild(32, 16);
+  for (int x = 0; x < 32; ++x)
+    for (int y = 0; y < 16; ++y) wild.at(x, y) = Rgb{1, 1, 1} * (x < 16 ? 1e-38f : 1.f);
+  wild.at(20, 8) = {3e38f, 1, 1};
+  const auto made = encode_gain_map_jpeg(wild, base_of(wild));
+  ASSERT_TRUE(made);
+  const auto got = decode_gain_map_jpeg(*made, "wild");
+  ASSERT_TRUE(got) << got.error().detail;
+  EXPECT_EQ(got->non_finite, 0u);
+  EXPECT_GT(got->pixels.at(20, 8).r, 1e12f);
+  EXPECT_NEAR(got->pixels.at(28, 3).g, 1, .2);
 }
 
 TEST(GainMapJpeg, DamagedFilesAreRefusedWithoutHarm) {

@@ -12,6 +12,8 @@
 #include "core/conventions.h"
 #include "lighting/lighting.h"
 #include "runtime/pipeline/pipeline.h"
+#include "runtime/pipeline/stage_access.h"
+#include "runtime/shading/composite_stage.h"
 #include "tests/support/gl.h"
 #include "tests/support/temp_folder.h"
 
@@ -179,6 +181,26 @@ TEST_F(MovedObjects, TakenAwayAllLooksAsIfTheSceneHadThemNot) {
       EXPECT_LT(different(drawn(*p, 1), before, 3), 20u) << things.size();
     }
   }
+}
+
+// What is sent to each other is seen a frame later, by both eyes at the same time.
+TEST_F(MovedObjects, BothEyesSeeTheSame) {
+  auto both = pipeline(scene_of({thing("moved", {-.3, 0, .1}), thing("other", {.15, 0, -.05})}));
+  PENUMBRA_NEED_GL(both);
+  ASSERT_TRUE(both) << both.error().detail;
+  CompositeStage& stage = StageAccess::stage_of(*both);
+  constexpr int kLeft = 1, kRight = 2;
+  const auto settle = [&](double seconds) {
+    for (int i = 0; i < 4; ++i) stage.shade(light_, seconds, kLeft);
+  };
+  settle(1);
+  ASSERT_TRUE(both->move_object("moved", {{-.05, 0, .05}, 0}));
+  EXPECT_TRUE(stage.shade(light_, 2, kLeft));
+  EXPECT_FALSE(stage.shade(light_, 2, kRight)) << "the same moment";
+  EXPECT_TRUE(stage.shade(light_, 3, kLeft)) << "what came of the move";
+  EXPECT_FALSE(stage.shade(light_, 3, kRight));
+  settle(3);
+  EXPECT_FALSE(stage.shade(light_, 3, kLeft)) << "that comes to an end";
 }
 
 // Another thread moves, hides and shows while frames are drawn: each frame comes, and what was

@@ -11,6 +11,7 @@
 #include <string_view>
 #include <vector>
 
+#include "calib/camera/camera_model.h"
 #include "core/result.h"
 #include "core/units.h"
 #include "lighting/governor.h"

@@ -1,8 +1,10 @@
 // Error figures of a composite against the reference picture of the same world.
 #pragma once
 
+#include <optional>
 #include <vector>
 
+#include "calib/camera/camera_model.h"
 #include "core/result.h"
 #include "lighting/light_estimate.h"
 #include "prt/geometry/pinhole_view.h"
