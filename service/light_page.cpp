@@ -11,7 +11,6 @@
 #include <algorithm>
 #include <atomic>
 #include <cerrno>
-#include <cmath>
 #include <cstring>
 #include <ctime>
 #include <limits>
@@ -76,94 +75,7 @@ penumbra_distant_light on_page(const lighting::DistantLight& d) {
   return out;
 }
 
-// The face and texel of a cube that a direction falls into; as penumbra_light_page.h has them.
-struct CubeTexel {
-  int face, row, column;
-};
-CubeTexel cube_texel(const glm::dvec3& d) {
-  const glm::dvec3 size = glm::abs(d);
-  int face = 0;
-  double s = 0, t = 0, along = 1;
-  if (size.x >= size.y && size.x >= size.z) {
-    face = d.x > 0 ? 0 : 1, along = size.x, s = d.x > 0 ? -d.z : d.z, t = -d.y;
-  } else if (size.y >= size.z) {
-    face = d.y > 0 ? 2 : 3, along = size.y, s = d.x, t = d.y > 0 ? d.z : -d.z;
-  } else {
-    face = d.z > 0 ? 4 : 5, along = size.z, s = d.z > 0 ? d.x : -d.x, t = -d.y;
-  }
-  const auto place = [&](double v) {
-    return std::clamp(static_cast<int>((v / along + 1) / 2 * PENUMBRA_PAGE_CUBE), 0,
-                      PENUMBRA_PAGE_CUBE - 1);
-  };
-  return {face, place(t), place(s)};
-}
-
-glm::dvec3 cube_direction(const CubeTexel& at) {
-  const double s = 2 * (at.column + .5) / PENUMBRA_PAGE_CUBE - 1,
-               t = 2 * (at.row + .5) / PENUMBRA_PAGE_CUBE - 1;
-  const glm::dvec3 directions[] = {{1, -t, -s}, {-1, -t, s}, {s, 1, t},
-                                   {s, -1, -t}, {s, -t, 1},  {-s, -t, -1}};
-  return glm::normalize(directions[at.face]);
-}
-
-std::size_t index_of(const CubeTexel& at) {
-  constexpr int n = PENUMBRA_PAGE_CUBE;
-  return static_cast<std::size_t>((at.face * n + at.row) * n + at.column);
-}
-
 }  // namespace
-
-// Each pixel of the map goes whole into one texel, so that a sun of one pixel keeps its power;
-// texels that get none take the pixel that they look at.
-class LightPage::CubeOfMap {
- public:
-  CubeOfMap(int width, int height) : width_(width), height_(height) {
-    constexpr int n = PENUMBRA_PAGE_CUBE;
-    inverse_weights_.resize(std::size_t{6} * n * n);
-    for (int y = 0; y < height; ++y) {
-      row_weights_.push_back(static_cast<float>(std::sin(kPi * (y + .5) / height)));
-      for (int x = 0; x < width; ++x) {
-        const std::size_t i =
-            index_of(cube_texel(latlong_direction(x + .5, y + .5, width, height)));
-        texels_.push_back(static_cast<std::uint32_t>(i));
-        inverse_weights_[i] += row_weights_.back();
-      }
-    }
-    for (int face = 0; face < 6; ++face)
-      for (int row = 0; row < n; ++row)
-        for (int column = 0; column < n; ++column) add_texel({face, row, column});
-  }
-  bool fits(const Image<Rgb>& map) const {
-    return map.width() == width_ && map.height() == height_;
-  }
-  std::vector<Rgb> apply(const Image<Rgb>& map) const {
-    std::vector<Rgb> out(inverse_weights_.size());
-    const std::uint32_t* texel = texels_.data();
-    for (int y = 0; y < height_; ++y)
-      for (int x = 0; x < width_; ++x)
-        out[*texel++] += row_weights_[static_cast<std::size_t>(y)] * map.at(x, y);
-    for (std::size_t i = 0; i < out.size(); ++i) out[i] = out[i] * inverse_weights_[i];
-    for (const auto& [i, pixel] : empty_) out[i] = map.at(pixel.x, pixel.y);
-    return out;
-  }
-
- private:
-  void add_texel(const CubeTexel& at) {
-    float& weight = inverse_weights_[index_of(at)];
-    if (weight > 0) {
-      weight = 1 / weight;
-      return;
-    }
-    const glm::dvec2 p = latlong_pixel(cube_direction(at), width_, height_);
-    empty_.emplace_back(index_of(at),
-                        glm::ivec2(std::clamp(static_cast<int>(p.x), 0, width_ - 1),
-                                   std::clamp(static_cast<int>(p.y), 0, height_ - 1)));
-  }
-  int width_, height_;
-  std::vector<std::uint32_t> texels_;  // by pixel
-  std::vector<float> row_weights_, inverse_weights_;
-  std::vector<std::pair<std::size_t, glm::ivec2>> empty_;
-};
 
 LightPage::LightPage(fs::path path, int file, penumbra_light_page* page)
     : path_(std::move(path)), file_(file), page_(page) {}
@@ -264,8 +176,8 @@ void LightPage::write(const Environment& environment) {
   if (now - cube_written_ns_ < kBetween_ns || environment.radiance.empty()) return;
   const std::scoped_lock lock(mutex_);
   if (!cube_of_map_ || !cube_of_map_->fits(environment.radiance))
-    cube_of_map_ = std::make_unique<const CubeOfMap>(environment.radiance.width(),
-                                                     environment.radiance.height());
+    cube_of_map_.emplace(environment.radiance.width(), environment.radiance.height(),
+                         PENUMBRA_PAGE_CUBE);
   const std::vector<Rgb> cube = cube_of_map_->apply(environment.radiance);
   cube_written_ns_ = now;
   const Writing writing(page_->cube_sequence);

@@ -5,11 +5,13 @@
 #include <filesystem>
 #include <memory>
 #include <mutex>
+#include <optional>
 #include <span>
 
 #include "core/environment.h"
 #include "core/result.h"
 #include "lighting/light_estimate.h"
+#include "lighting/reflections/cube_map.h"
 #include "runtime/shading/object_moves.h"
 
 struct penumbra_light_page;
@@ -30,14 +32,13 @@ class LightPage {
   void write(const Environment& environment);
 
  private:
-  class CubeOfMap;
   LightPage(std::filesystem::path path, int file, penumbra_light_page* page);
   const std::filesystem::path path_;
   const int file_;
   std::mutex mutex_;
   penumbra_light_page* const page_;  // written in the lock
   std::int64_t cube_written_ns_ = 0;
-  std::unique_ptr<const CubeOfMap> cube_of_map_;  // of the last map's size
+  std::optional<lighting::CubeMap> cube_of_map_;  // of the last map's size
 };
 
 }  // namespace penumbra::service

@@ -14,6 +14,7 @@
 #include <thread>
 
 #include "codec/codec.h"
+#include "codec/cube_ktx.h"
 #include "codec/display.h"
 #include "codec/gain_map_jpeg.h"
 #include "core/io/log.h"
@@ -49,6 +50,18 @@ Result<std::shared_ptr<const std::string>> EnvironmentJpeg::of(
   PENUMBRA_ASSIGN(base, tone_.map(map->radiance, map->time));
   PENUMBRA_ASSIGN(jpeg, codec::encode_gain_map_jpeg(map->radiance, base.pixels));
   bytes_ = std::make_shared<const std::string>(jpeg.begin(), jpeg.end());
+  map_ = map;
+  return bytes_;
+}
+
+Result<std::shared_ptr<const std::string>> EnvironmentCube::of(
+    const std::shared_ptr<const Environment>& map) {
+  const std::scoped_lock lock(mutex_);
+  if (map_ == map) return bytes_;
+  const Image<Rgb>& radiance = map->radiance;
+  if (!cube_ || !cube_->fits(radiance)) cube_.emplace(radiance.width(), radiance.height(), kEdge);
+  PENUMBRA_ASSIGN(ktx, codec::encode_cube_ktx(cube_->apply(radiance), kEdge));
+  bytes_ = std::make_shared<const std::string>(ktx.begin(), ktx.end());
   map_ = map;
   return bytes_;
 }

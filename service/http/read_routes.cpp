@@ -84,6 +84,11 @@ void get_environment(HttpContext& context, const std::string& kind, Response& r)
     if (!jpeg) return refuse(r, jpeg.error());
     return r.set_content(**jpeg, "image/jpeg");
   }
+  if (kind == ".ktx") {
+    const auto cube = context.environment_cube.of(map);
+    if (!cube) return refuse(r, cube.error());
+    return r.set_content(**cube, "image/ktx");
+  }
   if (!kind.empty())
     return reply_with_file(
         r, kind, kind == ".exr" ? "image/x-exr" : "image/vnd.radiance", [&](const auto& path) {
@@ -152,7 +157,7 @@ void add_read_routes(httplib::Server& server, HttpContext& context) {
     r.set_content(metrics_text(context), "text/plain; version=0.0.4; charset=utf-8");
   });
   server.Get("/v1/light", [&](const Request& q, Response& r) { get_light(context, q, r); });
-  server.Get(R"(/v1/environment(\.exr|\.hdr|\.jpg)?)", [&](const Request& q, Response& r) {
+  server.Get(R"(/v1/environment(\.exr|\.hdr|\.jpg|\.ktx)?)", [&](const Request& q, Response& r) {
     get_environment(context, q.matches[1].str(), r);
   });
   server.Get(R"(/v1/frame(\.jpg|\.png))",

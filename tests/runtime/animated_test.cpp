@@ -144,13 +144,15 @@ TEST(AnimatedGroundTruth, ALightMapIsAsGoodAsVertices) {
 }
 
 // Twenty moments under eight real environments take nine minutes: PENUMBRA_LONG=1 asks for them,
-// another word for those whose names hold it. Otherwise it is two under a veiled sun.
+// another word for those whose names hold it, with a finer bake. Otherwise it is two under a veiled
+// sun.
 TEST(AnimatedGroundTruth, MomentsUnderRealEnvironments) {
   const char* const asked = std::getenv("PENUMBRA_LONG");
   const std::string only = asked ? asked : "immenstadter";
   const int moments = asked ? 20 : 2;
   PENUMBRA_NEED_SHARED(folder, "envmaps");
-  const auto scene = prepare_quickly(walker_scene({96, 96}), 128);
+  const auto scene = asked ? prepare_quickly(walker_scene({128, 128}), 512)
+                           : prepare_quickly(walker_scene({96, 96}), 128);
   ASSERT_TRUE(scene) << scene.error().detail;
   double square = 0;
   int count = 0;

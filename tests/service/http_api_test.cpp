@@ -11,7 +11,9 @@
 
 #include <atomic>
 #include <cmath>
+#include <cstdint>
 #include <cstdlib>
+#include <cstring>
 #include <filesystem>
 #include <nlohmann/json.hpp>
 #include <optional>
@@ -19,6 +21,8 @@
 #include <vector>
 
 #include "codec/gain_map_jpeg.h"
+#include "core/conventions.h"
+#include "core/half.h"
 #include "service/scene/scene_reload.h"
 #include "tests/support/gl.h"
 #include "tests/support/temp_folder.h"
@@ -460,6 +464,7 @@ TEST(HttpApi, PicturesAndMapsComeInTheFormatsThatAreAskedFor) {
                                     {"/v1/frame.png", "\x89PNG"},
                                     {"/v1/environment.jpg", "\xff\xd8\xff"},
                                     {"/v1/environment.hdr", "#?RADIANCE"},
+                                    {"/v1/environment.ktx", "\xabKTX 11\xbb\r\n\x1a\n"},
                                     {"/v1/environment.exr", "\x76\x2f\x31\x01"}}) {
     const auto response = s.client->Get(path);
     ASSERT_TRUE(response) << path;
@@ -488,6 +493,48 @@ TEST(HttpApi, TheEnvironmentsJpegHoldsItsRadiance) {
   for (int n = 0; n < light.size(); ++n)
     EXPECT_NEAR(luminance(back[n]), luminance(light[n]), .01f * luminance(light[0])) << n;
   EXPECT_EQ(s.client->Get("/v1/environment.jpg")->body, jpeg);
+}
+
+// Solid angle of a texel of a cube, S and T from -1 to 1.
+double texel_sr(double s, double t, double edge) {
+  return 4 / (edge * edge) / std::pow(1 + s * s + t * t, 1.5);
+}
+
+TEST(HttpApi, TheCubeSendsTheLightOfTheMap) {
+  Served s;
+  publish_something(s.state);
+  const std::string ktx = s.client->Get("/v1/environment.ktx")->body;
+  constexpr std::size_t kEdge = 128, kHead = 12 + 14 * 4;
+  ASSERT_EQ(ktx.size(), kHead + 6 * kEdge * kEdge * 8);
+  std::uint32_t words[14];
+  std::memcpy(words, ktx.data() + 12, sizeof words);
+  EXPECT_EQ(words[0], 0x04030201u);
+  EXPECT_EQ(words[10], 6u) << "faces";
+  EXPECT_EQ(words[13], kEdge * kEdge * 8) << "bytes of one";
+  double light[3]{};  // of all, and its moments along z and y
+  for (std::size_t face = 0; face < 6; ++face)
+    for (std::size_t row = 0; row < kEdge; ++row)
+      for (std::size_t column = 0; column < kEdge; ++column) {
+        std::uint16_t texel[4];
+        std::memcpy(texel, ktx.data() + kHead + ((face * kEdge + row) * kEdge + column) * 8, 8);
+        const double u = (2. * double(column) + 1) / kEdge - 1,
+                     v = (2. * double(row) + 1) / kEdge - 1;
+        const glm::dvec3 towards[] = {{1, -v, -u}, {-1, -v, u}, {u, 1, v},
+                                      {u, -1, -v}, {u, -v, 1},  {-u, -v, -1}};
+        const double power = texel_sr(u, v, kEdge) *
+                             luminance(Rgb{float_from_half(texel[0]), float_from_half(texel[1]),
+                                           float_from_half(texel[2])});
+        const glm::dvec3 d = glm::normalize(towards[face]);
+        light[0] += power, light[1] += power * d.y, light[2] += power * d.z;
+        EXPECT_EQ(float_from_half(texel[3]), 1);
+      }
+  const RadianceSh truth =
+      lighting::project_latlong(capture::make_room_environment(128, 64), 2)->light;
+  const double all = std::sqrt(4 * kPi) * luminance(truth[0]);
+  EXPECT_NEAR(light[0] / all, 1, .01);
+  const double moment = std::sqrt(4 * kPi / 3);
+  EXPECT_NEAR(light[1] / all, moment * luminance(truth[1]) / all, .01);
+  EXPECT_NEAR(light[2] / all, moment * luminance(truth[2]) / all, .01);
 }
 
 TEST(HttpApi, EnginesGetTheLightInTheirOwnConvention) {

@@ -28,6 +28,10 @@ std::string percent(double fraction) {
   return fmt::format("{:.1f}", 100 * fraction);
 }
 
+std::string_view lens_name(const SensorPoint& p) {
+  return kSensorLensNames[static_cast<std::size_t>(p.lens)];
+}
+
 nlohmann::ordered_json sensor_row(const SensorPoint& p) {
   const auto optional = [](const std::optional<double>& v) {
     return v ? nlohmann::ordered_json(*v) : nlohmann::ordered_json();
@@ -36,7 +40,7 @@ nlohmann::ordered_json sensor_row(const SensorPoint& p) {
           {"scene", p.scene},
           {"bits", p.settings.bits},
           {"shortest_exposure_s", p.settings.shortest_exposure.count()},
-          {"view_lens", kSensorLensNames[static_cast<std::size_t>(p.lens)]},
+          {"view_lens", lens_name(p)},
           {"exposures", p.exposures},
           {"lights", p.lights},
           {"bands", p.bands},
@@ -157,7 +161,8 @@ Result<void> write_plot(const std::filesystem::path& target, const std::vector<S
   const std::string order =
       fmt::format("in each column from left to right: {}", fmt::join(scenes, ", "));
   const std::string heading =
-      fmt::format("From the sensor to the picture: {} cases", points.size());
+      fmt::format("From the sensor to the picture: {} cases, {} view camera", points.size(),
+                  lens_name(points[0]));
   return run_gnuplot(fmt::format("heading = {}\nnames = {}\nxlabel_text = {}\ngoals = '{} {} {}'\n",
                                  gnuplot_quoted(heading), gnuplot_quoted(names),
                                  gnuplot_quoted(order), kMeanGoal, kWorstGoal, 100 * kObjectGoal) +

@@ -9,11 +9,13 @@
 #include <memory>
 #include <mutex>
 #include <nlohmann/json.hpp>
+#include <optional>
 #include <string>
 
 #include "codec/tone/temporal_tone.h"
 #include "core/environment.h"
 #include "core/threads/stage_times.h"
+#include "lighting/reflections/cube_map.h"
 #include "service/http/http_api.h"
 
 namespace penumbra::service {
@@ -42,6 +44,19 @@ class EnvironmentJpeg {
   std::shared_ptr<const std::string> bytes_;
 };
 
+/// The same as a cube.
+class EnvironmentCube {
+ public:
+  static constexpr int kEdge = 128;  // texels
+  Result<std::shared_ptr<const std::string>> of(const std::shared_ptr<const Environment>& map);
+
+ private:
+  std::mutex mutex_;
+  std::optional<lighting::CubeMap> cube_;  // of the last map's size
+  std::shared_ptr<const Environment> map_;
+  std::shared_ptr<const std::string> bytes_;
+};
+
 /// Stage times, ranked once a second, however many clients ask.
 class RecentStages {
  public:
@@ -64,6 +79,7 @@ struct HttpContext {
   const HttpSources sources;
   FrameJpeg jpeg;
   EnvironmentJpeg environment_jpeg;
+  EnvironmentCube environment_cube;
   RecentStages stages;
   std::atomic<bool> stopping = false;
   std::atomic<int> streams = 0;
