@@ -274,9 +274,10 @@ bool CompositeStage::shade(const lighting::LightEstimate& light, double seconds,
   }
   lights_.shadows(planes_.irradiance(), on_planes_);
   lamps_.append(planes_.irradiance(), on_planes_);
+  const bool first = !lit_before_;  // which has rounds enough of its own
   const bool relit = relight_objects(light, lamps_changed, other_form);
   if (!relit && !lights_changed && !moved && !measured) return false;
-  exits_changed_ = surroundings_.any();
+  exits_changed_ = surroundings_.any() && !first;
   combine_object_shadows(poses_);
   light_planes(poses_);
   compositor_->set_shadow_maps(on_planes_);

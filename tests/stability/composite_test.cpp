@@ -294,6 +294,7 @@ class BlownOutFloor : public Composite {
   };
   Seen look(double sends) {
     const auto light = estimate_of(sunny_map());
+    composited_floats(light);  // what things send to each other is a frame late
     const Image<Rgb> ratio = composited_floats(light);
     const Rgb floor = open_irradiance(light, kUp) * float(.4 / kPi);  // radiance, of albedo .4
     const double exposure_s = sends / double(std::min({floor.r, floor.g, floor.b}));
