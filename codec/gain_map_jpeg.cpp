@@ -15,6 +15,7 @@
 #include "codec/display.h"
 #include "codec/internal/gain_map.h"
 #include "core/conventions.h"
+#include "core/median.h"
 
 namespace penumbra::codec {
 
@@ -104,15 +105,14 @@ std::string xmp_of_base(std::size_t gains_size, float exposure) {
 
 // The factor that leaves as much of the picture above the base as below it.
 float exposure_between(const Image<Rgb>& radiance, const Image<Rgb>& base) {
-  std::vector<float> ratios;
+  std::vector<double> ratios;
   for (std::size_t i = 0; i < radiance.area(); ++i) {
     const float lit = luminance(radiance.pixels()[i]), shown = luminance(base.pixels()[i]);
-    if (lit > 0 && shown > 0) ratios.push_back(shown / lit);
+    if (lit > 0 && shown > 0) ratios.push_back(double{shown} / lit);
   }
   if (ratios.empty()) return 1;
-  const auto middle = ratios.begin() + static_cast<std::ptrdiff_t>(ratios.size() / 2);
-  std::ranges::nth_element(ratios, middle);
-  return std::isnormal(*middle) && std::isnormal(1 / *middle) ? *middle : 1;
+  const auto middle = static_cast<float>(median(ratios));
+  return std::isnormal(middle) && std::isnormal(1 / middle) ? middle : 1;
 }
 
 Image<Rgb> linear_of(const Image<Rgb8>& picture) {

@@ -45,8 +45,7 @@ glm::dvec3 direction_of(const CubeTexel& at, int size) {
 
 }  // namespace
 
-CubeMap::CubeMap(int map_width, int map_height, int size)
-    : width_(map_width), height_(map_height), size_(size) {
+CubeMap::CubeMap(int map_width, int map_height, int size) : width_(map_width), height_(map_height) {
   const auto edge = static_cast<std::size_t>(size);
   inverse_weights_.resize(6 * edge * edge);
   for (int y = 0; y < height_; ++y) {

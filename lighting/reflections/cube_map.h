@@ -23,13 +23,12 @@ class CubeMap {
   bool fits(const Image<Rgb>& map) const {
     return map.width() == width_ && map.height() == height_;
   }
-  int size() const { return size_; }
   /// in:  a map that fits
   /// out: face by face, row by row
   std::vector<Rgb> apply(const Image<Rgb>& map) const;
 
  private:
-  int width_, height_, size_;
+  int width_, height_;
   std::vector<std::uint32_t> texels_;  // by pixel
   std::vector<float> row_weights_, inverse_weights_;
   std::vector<std::pair<std::size_t, glm::ivec2>> empty_;
