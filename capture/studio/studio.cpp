@@ -19,22 +19,26 @@ namespace {
 constexpr int kEnvironmentCamera = 0, kViewCamera = 1;
 
 // Average over the pixel of what the world shows; a map of the same size is copied by its pixel
-// centres.
+// centres, and of a coarser one, which changes little within a pixel, fewer samples are taken.
 Image<Rgb> film_environment(const RadianceWorld& world, int width, int height) {
   const auto* floor_world = dynamic_cast<const FloorWorld*>(&world);
   if (floor_world && floor_world->environment().width() == width &&
       floor_world->environment().height() == height)
     return floor_world->environment();
-  constexpr int kSamples = 6;
+  constexpr int kMaxSamples = 6;
+  const int samples =
+      floor_world
+          ? std::clamp(kMaxSamples * floor_world->environment().width() / width, 1, kMaxSamples)
+          : kMaxSamples;
   Image<Rgb> out(width, height);
   parallel_for(0, height, [&](int y) {
     for (int x = 0; x < width; ++x) {
       Rgb sum;
-      for (int k = 0; k < kSamples * kSamples; ++k)
-        sum += world.far_radiance(latlong_direction(x + (k % kSamples + .5) / kSamples,
-                                                    y + (double(k / kSamples) + .5) / kSamples,
-                                                    width, height));
-      out.at(x, y) = sum * (1.f / (kSamples * kSamples));
+      for (int k = 0; k < samples * samples; ++k)
+        sum += world.far_radiance(latlong_direction(x + (k % samples + .5) / samples,
+                                                    y + (double(k / samples) + .5) / samples, width,
+                                                    height));
+      out.at(x, y) = sum * (1.f / static_cast<float>(samples * samples));
     }
   });
   return out;

@@ -20,12 +20,16 @@ def program():
 
 
 class CliTest(unittest.TestCase):
-    """A folder of its own, with its own empty bake cache, for every class."""
+    """A folder of its own for every class. What one bakes is there for the others of a run of ctest,
+    but for a class that looks at its cache."""
+
+    own_cache = False
 
     @classmethod
     def setUpClass(cls):
         cls.root = Path(tempfile.mkdtemp(prefix="penumbra-cli-"))
-        cls.environment = dict(os.environ, XDG_CACHE_HOME=str(cls.root / "cache"))
+        shared = None if cls.own_cache else os.environ.get("PENUMBRA_TEST_BAKES")
+        cls.environment = dict(os.environ, XDG_CACHE_HOME=shared or str(cls.root / "cache"))
         for name in ("DISPLAY", "WAYLAND_DISPLAY"):
             cls.environment.pop(name, None)
         cls.make_files()

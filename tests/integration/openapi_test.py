@@ -294,9 +294,10 @@ class Changes(Described):
         """Until nothing is baked any more."""
         self.wait_for_objects()
         before = [None]
+        cache = os.path.join(self.environment["XDG_CACHE_HOME"], "penumbra")
 
         def same():
-            known = os.listdir(self.root / "cache" / "penumbra") if (self.root / "cache" / "penumbra").is_dir() else []
+            known = os.listdir(cache) if os.path.isdir(cache) else []
             now = (self.state(), sorted(known), "".join(self.lines))
             last, before[0] = before[0], now
             return last == now and not now[0]["preparing"]

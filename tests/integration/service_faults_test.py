@@ -79,6 +79,8 @@ class Daemon:
 
 
 class Faults(CliTest):
+    own_cache = True
+
     @classmethod
     def make_files(cls):
         files.write_scene(cls.root)

@@ -96,7 +96,8 @@ void warn(const BakeCommandOptions& o, const prt::BakedSequence& s) {
         o.output);
 }
 
-void report(const BakeCommandOptions& o, const prt::BakedSequence& s, double relight_ms) {
+void report(const BakeCommandOptions& o, const prt::BakedSequence& s, bool merge_baked,
+            double relight_ms) {
   const prt::SequenceReport& r = s.report;
   const auto bytes = fs::file_size(o.output);
   const double raw = 4. * static_cast<double>(s.surface.points()) * s.surface.frames() *
@@ -105,6 +106,7 @@ void report(const BakeCommandOptions& o, const prt::BakedSequence& s, double rel
     print_json({{"clip", s.clip},
                 {"frames", s.surface.frames()},
                 {"frames_between", frames_between(s)},
+                {"merge_baked", merge_baked},
                 {"points", s.surface.points()},
                 {"vertices", s.surface.points()},
                 {"texels", s.ground_deficit.points()},
@@ -188,8 +190,13 @@ Result<void> bake_one_shard(const BakeCommandOptions& o, const runtime::Standing
   return {};
 }
 
+struct Journals {
+  std::vector<fs::path> files;
+  bool merge_baked = false;  // what no shard held
+};
+
 // The journals that hold all frames; what of them shards have not baked is baked here.
-Result<std::vector<fs::path>> all_journals(const BakeCommandOptions& o,
+Result<Journals> all_journals(const BakeCommandOptions& o,
                                            const runtime::StandingCharacter& of,
                                            const prt::SequenceOptions& options) {
   if (o.merge == 0) {
@@ -197,13 +204,14 @@ Result<std::vector<fs::path>> all_journals(const BakeCommandOptions& o,
     const fs::path journal = o.output + ".journal";
     runtime::tell_work(fs::path(o.asset).filename().string(), of.character, of.clip, options);
     PENUMBRA_TRY(prt::bake_frames(of.character, of.clip, options, {}, journal));
-    return std::vector{journal};
+    return Journals{{journal}};
   }
   PENUMBRA_TRY(prt::check_shards(of.character, of.clip, options, shard_files(o.output, o.merge)));
-  std::vector<fs::path> journals = journals_before(o, o.merge, prt::kRounds + 1);
+  Journals journals{journals_before(o, o.merge, prt::kRounds + 1)};
   const fs::path between = o.output + ".between";
-  PENUMBRA_ASSIGN(more, prt::bake_between(of.character, of.clip, options, journals, between));
-  if (more) journals.push_back(between);
+  PENUMBRA_ASSIGN(more, prt::bake_between(of.character, of.clip, options, journals.files, between));
+  journals.merge_baked = more;
+  if (more) journals.files.push_back(between);
   return journals;
 }
 
@@ -242,11 +250,11 @@ Result<void> bake_clip(const BakeCommandOptions& o) {
   if (!o.shard.empty()) return bake_one_shard(o, character, options, choice);
   PENUMBRA_ASSIGN(journals, all_journals(o, character, options));
   PENUMBRA_ASSIGN(sequence,
-                  prt::compress_frames(character.character, character.clip, options, journals));
+                  prt::compress_frames(character.character, character.clip, options, journals.files));
   PENUMBRA_TRY(prt::write_sequence(o.output, character.character, character.clip, sequence));
-  remove_shards(journals);
+  remove_shards(journals.files);
   warn(o, sequence);
-  report(o, sequence, relight_ms(sequence, character));
+  report(o, sequence, journals.merge_baked, relight_ms(sequence, character));
   return {};
 }
 
