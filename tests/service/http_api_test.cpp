@@ -309,6 +309,8 @@ TEST(HttpApi, ANewObjectPlaceIsInTheNextFrame) {
   PipelineOptions options;
   options.bake = runtime::BakeSettings::coarse();
   options.bake.rays = options.bake.ground_rays = 64;
+  options.bake.max_edge_fraction = .2f;
+  options.bake.bounces = 1;
   options.bake.cache = runtime::BakeCache::kNotUsed;
   auto pipeline = Pipeline::create(cameras, scene, options);
   PENUMBRA_NEED_GL(pipeline);

@@ -4,8 +4,8 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
-#include <deque>
 #include <fstream>
+#include <utility>
 
 #include "calib/camera/camera_model.h"
 #include "prt/prt.h"
@@ -51,22 +51,7 @@ class HandheldFilm : public capture::FrameSource {
       light.exposure = {Seconds(1), Gain(1)};
       light.time = time_of(0);
       light.pixels = std::make_shared<const FramePixels>(even_light());
-      frames_.push_back(light);
-    }
-    const test::BoardPainter painter(webcam_lens());
-    const auto drawn = test::draw_board(board(), calib::world_from_flat_board(board()));
-    for (int i = 0; i < kBoardFrames; ++i) {
-      test::PictureFaults faults;
-      faults.seed = static_cast<unsigned>(i);
-      if (i >= kLostFrom && i < kLostTo) faults.covered = {0, 0, 640, 480};
-      capture::Frame frame;
-      frame.camera = static_cast<int>(cameras_.size()) - 1;
-      frame.sequence = static_cast<std::uint64_t>(i);
-      frame.exposure = {Seconds(1), Gain(1)};
-      frame.time = time_of(i);
-      frame.pixels =
-          std::make_shared<const FramePixels>(painter.paint({drawn}, camera_at(i), faults));
-      frames_.push_back(std::move(frame));
+      light_ = light;
     }
   }
 
@@ -80,16 +65,29 @@ class HandheldFilm : public capture::FrameSource {
 
   const std::vector<capture::CameraInfo>& cameras() const override { return cameras_; }
   Result<std::optional<capture::Frame>> next() override {
-    if (frames_.empty()) return std::optional<capture::Frame>();
-    std::optional<capture::Frame> out = frames_.front();
-    frames_.pop_front();
-    return out;
+    if (light_) return std::exchange(light_, std::nullopt);
+    if (painted_ == kBoardFrames) return std::optional<capture::Frame>();
+    const int i = painted_++;
+    test::PictureFaults faults;
+    faults.seed = static_cast<unsigned>(i);
+    if (i >= kLostFrom && i < kLostTo) faults.covered = {0, 0, 640, 480};
+    capture::Frame frame;
+    frame.camera = static_cast<int>(cameras_.size()) - 1;
+    frame.sequence = static_cast<std::uint64_t>(i);
+    frame.exposure = {Seconds(1), Gain(1)};
+    frame.time = time_of(i);
+    frame.pixels =
+        std::make_shared<const FramePixels>(painter_.paint({drawn_}, camera_at(i), faults));
+    return std::optional(frame);
   }
   double view_rate() const override { return kChainFps; }
 
  private:
   std::vector<capture::CameraInfo> cameras_;
-  std::deque<capture::Frame> frames_;
+  std::optional<capture::Frame> light_;
+  test::BoardPainter painter_{webcam_lens()};
+  test::DrawnBoard drawn_ = test::draw_board(board(), calib::world_from_flat_board(board()));
+  int painted_ = 0;  // most tests need a few
 };
 
 runtime::Scene box_on_the_board() {
@@ -128,6 +126,9 @@ TEST(PoseChain, AnObjectStaysOnItsBoardBeforeAHandheldLensAndFadesWhileTheBoardI
   ASSERT_TRUE(posed) << posed.error().detail;
   PipelineOptions options;
   options.bake = runtime::BakeSettings::coarse();
+  options.bake.rays = options.bake.ground_rays = 64;
+  options.bake.max_edge_fraction = .2f;
+  options.bake.bounces = 1;
   options.bake.cache = runtime::BakeCache::kNotUsed;
   auto pipeline = Pipeline::create((*posed)->cameras(), box_on_the_board(), options);
   PENUMBRA_NEED_GL(pipeline);

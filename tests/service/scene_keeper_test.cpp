@@ -54,6 +54,8 @@ struct Running {
     frame.pixels = std::make_shared<const FramePixels>(Image<Rgb8>(64, 48));
     runtime::BakeSettings settings = runtime::BakeSettings::coarse();
     settings.rays = settings.ground_rays = 64;
+    settings.max_edge_fraction = .2f;
+    settings.bounces = 1;
     keeper = std::make_unique<SceneKeeper>(
         settings, [](const std::string&) { return [](double) {}; },
         [this](const runtime::Scene& scene, runtime::PreparedScene prepared) -> Result<void> {
