@@ -151,7 +151,7 @@ def main(build, examples, program, compiler):
         mesh.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n")
         run(tree / "bake", mesh, folder / "box.glb")
         check((folder / "box.glb").stat().st_size > 1000, "bake.cpp writes an object")
-        cache = os.environ | {"XDG_CACHE_HOME": str(folder / "cache")}
+        cache = os.environ | {"XDG_CACHE_HOME": os.environ.get("PENUMBRA_TEST_BAKES", str(folder / "cache"))}
         run(program, "demo", "--fine", "--headless", "--frames", "4", "--width", "160", "--height", "90",
             "--asset", "builtin:box", "--no-turntable", "--no-video", "--record", folder / "capture",
             "--out", folder / "out", env=cache)

@@ -196,9 +196,8 @@ struct Journals {
 };
 
 // The journals that hold all frames; what of them shards have not baked is baked here.
-Result<Journals> all_journals(const BakeCommandOptions& o,
-                                           const runtime::StandingCharacter& of,
-                                           const prt::SequenceOptions& options) {
+Result<Journals> all_journals(const BakeCommandOptions& o, const runtime::StandingCharacter& of,
+                              const prt::SequenceOptions& options) {
   if (o.merge == 0) {
     // Kept until all is done: a bake that is stopped goes on where it was.
     const fs::path journal = o.output + ".journal";
@@ -249,8 +248,8 @@ Result<void> bake_clip(const BakeCommandOptions& o) {
   options.progress = progress_bar("bake " + fs::path(o.asset).filename().string());
   if (!o.shard.empty()) return bake_one_shard(o, character, options, choice);
   PENUMBRA_ASSIGN(journals, all_journals(o, character, options));
-  PENUMBRA_ASSIGN(sequence,
-                  prt::compress_frames(character.character, character.clip, options, journals.files));
+  PENUMBRA_ASSIGN(
+      sequence, prt::compress_frames(character.character, character.clip, options, journals.files));
   PENUMBRA_TRY(prt::write_sequence(o.output, character.character, character.clip, sequence));
   remove_shards(journals.files);
   warn(o, sequence);
