@@ -14,7 +14,7 @@ namespace penumbra::runtime {
 
 namespace {
 
-constexpr std::size_t kPaths = 24'000'000;  // ten seconds on two cores
+constexpr std::size_t kPaths = 12'000'000;  // ten seconds on two cores
 constexpr int kFewest = 32, kMax = 1024;    // a point
 
 // Texels beneath a thing see nothing; what stands beside them must not be drawn darker by it.

@@ -16,6 +16,7 @@
 #include "runtime/shading/composite_stage.h"
 #include "tests/support/gl.h"
 #include "tests/support/temp_folder.h"
+#include "tests/support/worlds.h"
 
 namespace penumbra::runtime {
 namespace {
@@ -26,7 +27,7 @@ BakeSettings quick() {
           .rays = 64,
           .ground_rays = 64,
           .visibility = false,
-          .cache = runtime::BakeCache::kNotUsed};
+          .cache = test::shared_bakes()};
 }
 
 SceneObject thing(const char* name, const glm::dvec3& position, double turn_rad = 0) {

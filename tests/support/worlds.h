@@ -26,14 +26,18 @@ inline runtime::RealGeometry grey_plane(const glm::dvec3& point = {0, 0, 0},
   return g;
 }
 
-/// Baked silently; what the same run of ctest has baked already is recalled
-/// (tests/CMakeLists.txt).
+/// What the same run of ctest has baked already is recalled (tests/CMakeLists.txt).
+inline runtime::BakeCache shared_bakes() {
+  const char* const bakes = std::getenv("PENUMBRA_TEST_BAKES");
+  if (bakes) ::setenv("XDG_CACHE_HOME", bakes, 1);
+  return bakes ? runtime::BakeCache::kUsed : runtime::BakeCache::kNotUsed;
+}
+
+/// Baked silently.
 inline Result<runtime::PreparedScene> prepared(const runtime::Scene& scene, int rays = 512) {
   runtime::BakeSettings settings;
   settings.rays = settings.ground_rays = rays;
-  const char* const bakes = std::getenv("PENUMBRA_TEST_BAKES");
-  settings.cache = bakes != nullptr ? runtime::BakeCache::kUsed : runtime::BakeCache::kNotUsed;
-  if (bakes) ::setenv("XDG_CACHE_HOME", bakes, 1);
+  settings.cache = shared_bakes();
   return runtime::prepare(scene, settings,
                           [](const std::string&) { return std::function<void(double)>(); });
 }
