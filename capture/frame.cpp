@@ -1,3 +1,5 @@
+#include <fmt/format.h>
+
 #include <variant>
 
 #include "capture/frames.h"
@@ -10,6 +12,34 @@ int width(const FramePixels& pixels) {
 
 int height(const FramePixels& pixels) {
   return std::visit([](const auto& image) { return image.height(); }, pixels);
+}
+
+Result<std::vector<Exposure>> exposures_of(std::span<const double> times_s,
+                                           std::span<const double> gains) {
+  constexpr std::size_t kMax = 16;
+  constexpr double kLongest_s = 60, kMaxGain = 1e4;
+  if (times_s.empty() || times_s.size() > kMax)
+    return fail(ErrorCode::kInvalid, "exposures_s",
+                fmt::format("are not 1 to {} exposure times", kMax));
+  if (!gains.empty() && gains.size() != times_s.size())
+    return fail(ErrorCode::kInvalid, "gains",
+                fmt::format("are {}, of {} exposure times", gains.size(), times_s.size()));
+  std::vector<Exposure> out;
+  for (std::size_t i = 0; i < times_s.size(); ++i) {
+    const double gain = gains.empty() ? 1 : gains[i];
+    if (!(times_s[i] > 0 && times_s[i] <= kLongest_s))
+      return fail(ErrorCode::kInvalid, "exposures_s",
+                  "has a time that is not above 0 and at most 60 s");
+    if (!(gain > 0 && gain <= kMaxGain))
+      return fail(ErrorCode::kInvalid, "gains", "has a gain that is not above 0 and at most 10000");
+    out.push_back({Seconds(times_s[i]), Gain(gain)});
+  }
+  return out;
+}
+
+Result<void> FrameSource::set_exposures(int /*camera*/, std::vector<Exposure> /*exposures*/) {
+  return fail(ErrorCode::kInvalid, "exposures_s",
+              "of these frames were chosen when they were taken");
 }
 
 }  // namespace penumbra::capture

@@ -1,6 +1,6 @@
 // What all sources of frames share: cameras as they are known, frames with their own truth.
-// threads: plain values; a FrameSource is thread-bound but for close(), counts() and
-// take_darker()
+// threads: plain values; a FrameSource is thread-bound but for close(), counts(), take_darker() and
+// set_exposures()
 #pragma once
 
 #include <array>
@@ -12,6 +12,7 @@
 #include <glm/vec3.hpp>
 #include <memory>
 #include <optional>
+#include <span>
 #include <string>
 #include <vector>
 
@@ -106,6 +107,12 @@ struct CameraCounts {
   std::optional<double> light_error;
 };
 
+/// What may be asked of a camera: times_s[i] seconds, each with gains[i] (none: 1).
+/// errors: kInvalid ("exposures_s": none, more than 16, a time that is not above 0 and at most 60 s;
+///         "gains": of another number, one that is not above 0 and at most 10,000)
+Result<std::vector<Exposure>> exposures_of(std::span<const double> times_s,
+                                           std::span<const double> gains);
+
 /// A stream of frames of several cameras in order of time.
 class FrameSource {
  public:
@@ -126,6 +133,11 @@ class FrameSource {
   /// out: false where this source cannot be asked
   /// threads: thread-safe
   virtual bool take_darker(int /*camera*/, double /*factor*/) { return false; }
+  /// Asks a camera for exposures, taken in turn, instead of those that it has; none: for those that
+  /// it began with. Its frames tell from when on they have them.
+  /// errors: kInvalid (a source or a camera whose exposures are not set)
+  /// threads: thread-safe
+  virtual Result<void> set_exposures(int camera, std::vector<Exposure> exposures);
   /// What became of the frames of real cameras, in the order of cameras(); empty for other sources.
   /// threads: thread-safe
   virtual std::vector<CameraCounts> counts() const { return {}; }

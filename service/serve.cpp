@@ -68,6 +68,20 @@ class AttachedPipeline {
   SceneControl& control_;
 };
 
+// And ask the cameras.
+class AttachedCameras {
+ public:
+  AttachedCameras(CameraControl& control, capture::FrameSource& source) : control_(control) {
+    control_.attach(&source);
+  }
+  ~AttachedCameras() { control_.attach(nullptr); }
+  AttachedCameras(const AttachedCameras&) = delete;
+  AttachedCameras& operator=(const AttachedCameras&) = delete;
+
+ private:
+  CameraControl& control_;
+};
+
 std::atomic<bool> g_reload = false;  // set by the signal handler alone
 static_assert(std::atomic<bool>::is_always_lock_free);
 
@@ -141,6 +155,7 @@ class Service {
   PublishedState state_;
   LiveRecording recording_;
   SceneControl objects_;
+  CameraControl cameras_;
   ProgressOf progress_;
   std::shared_ptr<StageTimes> times_ = std::make_shared<StageTimes>();
   std::unique_ptr<HttpApi> tcp_, socket_;
@@ -221,7 +236,7 @@ void Service::show_in_headset(const runtime::Output& out, const capture::FrameSo
 }
 
 Result<void> Service::listen() {
-  const HttpSources sources{state_, *times_, objects_, recording_};
+  const HttpSources sources{state_, *times_, objects_, recording_, cameras_};
   if (config_.port) {
     PENUMBRA_ASSIGN(api, HttpApi::start(http_options(config_), sources));
     tcp_ = std::move(api);
@@ -351,6 +366,7 @@ Result<void> Service::run() {
   if (socket_) log_info("listening on the socket {}", socket_->socket().string());
   notify_system("READY=1");
   const auto source = recording_.tap(*rig_.source);
+  const AttachedCameras attached(cameras_, *source);
   return compose(*source, stop);
 }
 

@@ -7,16 +7,39 @@ namespace penumbra::capture {
 
 Result<void> BracketedCamera::connect(std::unique_ptr<CameraDevice> device) {
   device_ = std::move(device);
-  // A new device counts from the start and follows as late as the old one did.
-  labels_ = ExposureLabels(labels_.delay() && counts_.frames > 0 ? labels_.delay() : delay_);
+  // It follows as late as the one before it.
+  begin_labels(labels_.delay() && counts_.frames > 0 ? labels_.delay() : delay_);
   counter_ = {};
-  reports_exposures_ = back_to_usual_ = false;
-  darker_exposure_.reset(), darker_.reset(), next_frame_.reset();
-  missed_ = 0, darkens_ = true;
+  next_frame_.reset();
+  settled_ = 0;
   lost_before_ = counts_.lost;
   if (auto_schedule_ && schedule_.empty()) take(auto_schedule_->probe(limits()));
   if (schedule_.empty()) return {};
   return ask();
+}
+
+void BracketedCamera::set_exposures(std::vector<Exposure> exposures) {
+  if (!sets_exposures()) return;
+  auto_schedule_.reset();
+  if (exposures.empty() && light_error_) auto_schedule_.emplace(info_, *light_error_);
+  schedule_ = exposures.empty() ? configured_ : std::move(exposures);
+  next_ = 0;
+  counts_.light_error.reset();
+  // A delay that was measured may be off by a turn of the exposures before.
+  begin_labels(delay_);
+  if (!device_) return;  // asked for once it is back
+  take(auto_schedule_ ? auto_schedule_->probe(limits()) : schedule_);
+  settled_ = counter_.at(device_->now()) + 1 +
+             static_cast<std::uint64_t>(delay_.value_or(ExposureLabels::kMaxDelay));
+  back_to_usual_ = !ask();  // what a device refuses is asked again
+}
+
+// Nothing that was asked before counts.
+void BracketedCamera::begin_labels(std::optional<int> delay) {
+  labels_ = ExposureLabels(delay);
+  reports_exposures_ = back_to_usual_ = false;
+  darker_exposure_.reset(), darker_.reset();
+  missed_ = 0, darkens_ = true;
 }
 
 // What the device makes of a plan: times in its steps, each once.
@@ -31,7 +54,7 @@ void BracketedCamera::take(std::vector<Exposure> planned) {
   if (planned.empty()) return;
   schedule_ = planned;
   next_ = 0;
-  auto_schedule_->use(std::move(planned));
+  if (auto_schedule_) auto_schedule_->use(std::move(planned));
 }
 
 // A device makes of an exposure beyond its range the nearest that it has.
@@ -151,7 +174,8 @@ ExposureLabels::Label BracketedCamera::label_of(TimestampNs time, std::uint64_t 
                                                 const FramePixels& pixels) {
   using enum ExposureLabels::Verdict;
   if (schedule_.empty()) return {kGood, {Seconds(1), Gain(1)}};
-  if (!asks_each_frame()) return {kGood, device_->nearest(schedule_[0])};
+  if (!asks_each_frame())
+    return {number < settled_ ? kMeasuring : kGood, device_->nearest(schedule_[0])};
   const auto label = labels_.judge(number, time, meter_.measure(pixels));
   counts_.delay_frames = labels_.delay();
   counts_.ignores_controls = labels_.ignores_controls();

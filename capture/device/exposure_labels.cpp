@@ -10,7 +10,6 @@ namespace penumbra::capture {
 
 namespace {
 
-constexpr int kMaxDelay = 10;            // frames
 constexpr std::size_t kRemembered = 24;  // frames
 constexpr std::size_t kFirst = 18,
                       kEnough = 12;  // frames that tell the delay, at the start and later

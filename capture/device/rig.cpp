@@ -48,7 +48,7 @@ struct Rig::Station {
         open(opener),
         frames(out),
         failed(error) {
-    for (const Exposure& e : camera.schedule) longest = std::max(longest, e.time);
+    expect(camera.schedule);
   }
 
   Result<void> start(std::unique_ptr<CameraDevice> device) {
@@ -67,6 +67,10 @@ struct Rig::Station {
         }
         const auto before = std::chrono::steady_clock::now();
         const std::uint64_t arrived = arrivals();
+        if (auto exposures = wanted.take()) {
+          expect(*exposures);
+          bracketed.set_exposures(std::move(*exposures));
+        }
         if (const double factor = darker.exchange(0); factor > 0) bracketed.take_darker(factor);
         auto frame = bracketed.next(kTurn);
         can_take_darker = bracketed.can_take_darker();
@@ -83,6 +87,10 @@ struct Rig::Station {
       failed.put({ErrorCode::kUnavailable, camera.info.name, e.what()});
       frames.close();
     }
+  }
+  // How long no frame is no reason to worry.
+  void expect(const std::vector<Exposure>& exposures) {
+    for (const Exposure& e : exposures) longest = std::max(longest, e.time);
   }
   std::uint64_t arrivals() const { return bracketed.counts().arrived; }
   bool reconnect() {
@@ -108,6 +116,7 @@ struct Rig::Station {
   Latest<Error>& failed;
   std::atomic<double> darker = 0;  // factor of a darker frame that is wanted; 0: none
   std::atomic<bool> can_take_darker = false;
+  Latest<std::vector<Exposure>> wanted;
   Seconds longest{0}, silent{0};
   std::uint64_t reconnected = 0, overrun = 0;
   mutable std::mutex mutex;
@@ -158,6 +167,15 @@ bool Rig::take_darker(int camera, double factor) {
   if (!station.can_take_darker) return false;
   station.darker = factor;
   return true;
+}
+
+Result<void> Rig::set_exposures(int camera, std::vector<Exposure> exposures) {
+  Station& station = *stations_.at(static_cast<std::size_t>(camera));
+  if (!station.bracketed.sets_exposures())
+    return fail(ErrorCode::kInvalid, station.camera.info.name,
+                "stays at the exposure that it has: the rig file gives it no exposures_s");
+  station.wanted.put(std::move(exposures));
+  return {};
 }
 
 std::vector<CameraCounts> Rig::counts() const {

@@ -31,7 +31,7 @@ Result<std::vector<RigCamera>> read_rig_cameras(const std::filesystem::path& pat
 /// What opens cameras; another one in tests.
 using OpenCamera = Result<std::unique_ptr<CameraDevice>> (*)(const CameraSettings&);
 
-/// threads: next() and cameras() thread-bound; close(), counts() and take_darker() thread-safe
+/// threads: next() and cameras() thread-bound; all others thread-safe
 class Rig : public FrameSource {
  public:
   /// errors: as open_camera; kInvalid (a schedule for a camera whose exposure cannot be set)
@@ -48,6 +48,7 @@ class Rig : public FrameSource {
   bool is_live() const override { return true; }
   void close() override;
   bool take_darker(int camera, double factor) override;
+  Result<void> set_exposures(int camera, std::vector<Exposure> exposures) override;
 
   std::vector<CameraCounts> counts() const override;
 

@@ -15,26 +15,15 @@ constexpr std::string_view kDeviceKeys[] = {"device",       "format",      "fps"
                                             "delay_frames", "light_error", "white_balance_k"};
 
 Result<std::vector<Exposure>> read_schedule(const TomlKeys& keys) {
-  std::vector<Exposure> schedule;
-  if (!keys.has("exposures_s")) return schedule;
-  constexpr std::size_t kMax = 16;
+  if (!keys.has("exposures_s")) return std::vector<Exposure>();
   PENUMBRA_ASSIGN(times, keys.numbers("exposures_s"));
-  std::vector<double> gains(times.size(), 1.);
+  std::vector<double> gains;
   if (keys.has("gains")) {
     PENUMBRA_ASSIGN(given, keys.numbers("gains", times.size()));
     gains = given;
   }
-  if (times.empty() || times.size() > kMax)
-    return keys.invalid(
-        "exposures_s",
-        fmt::format("is neither \"auto\" nor a list of 1 to {} exposure times", kMax));
-  for (std::size_t i = 0; i < times.size(); ++i) {
-    if (!(times[i] > 0 && times[i] <= 60))
-      return keys.invalid("exposures_s", "has a time that is not above 0 and at most 60 s");
-    if (!(gains[i] > 0 && gains[i] <= 1e4))
-      return keys.invalid("gains", "has a gain that is not above 0 and at most 10000");
-    schedule.push_back({Seconds(times[i]), Gain(gains[i])});
-  }
+  auto schedule = exposures_of(times, gains);
+  if (!schedule) return keys.invalid(schedule.error().where.c_str(), schedule.error().detail);
   return schedule;
 }
 

@@ -53,6 +53,9 @@ class PosedSource : public FrameSource {
   bool take_darker(int camera, double factor) override {
     return frames_->take_darker(camera, factor);
   }
+  Result<void> set_exposures(int camera, std::vector<Exposure> exposures) override {
+    return frames_->set_exposures(camera, std::move(exposures));
+  }
   std::vector<CameraCounts> counts() const override { return frames_->counts(); }
 
   PoseSourceState pose_state() const { return poses_->state(); }

@@ -188,14 +188,23 @@ Studio::Studio(std::shared_ptr<const RadianceWorld> world, StudioOptions options
   options_.sensor.vignetting = 0;
   if (options_.schedule.empty())
     options_.schedule = choose_schedule(environment_radiance_, options_.sensor);
+  first_schedule_ = options_.schedule;
   expose_view();
-  for (int i = 0; i < options_.clip; ++i) {
-    const std::uint64_t seed = options_.seed + 1000003 * static_cast<std::uint64_t>(i);
-    view_clip_.push_back(film(kViewCamera, *options_.view_exposure, seed));
+  for (int i = 0; i < options_.clip; ++i)
+    view_clip_.push_back(film(kViewCamera, *options_.view_exposure, clip_seed(i)));
+  film_environment_clip();
+}
+
+std::uint64_t Studio::clip_seed(int i) const {
+  return options_.seed + 1000003 * static_cast<std::uint64_t>(i);
+}
+
+void Studio::film_environment_clip() {
+  environment_clip_.clear();
+  for (int i = 0; i < options_.clip; ++i)
     for (const Exposure& e : options_.schedule)
       environment_clip_.push_back(
-          film(kEnvironmentCamera, e, 7919 * seed + environment_clip_.size()));
-  }
+          film(kEnvironmentCamera, e, 7919 * clip_seed(i) + environment_clip_.size()));
 }
 
 void Studio::expose_view() {
@@ -259,6 +268,12 @@ bool Studio::take_darker(int camera, double factor) {
   return true;
 }
 
+Result<void> Studio::set_exposures(int camera, std::vector<Exposure> exposures) {
+  if (camera != kEnvironmentCamera) return FrameSource::set_exposures(camera, std::move(exposures));
+  wanted_.put(std::move(exposures));
+  return {};
+}
+
 // Between two view frames.
 Frame Studio::darker_frame(double factor) const {
   Frame frame;
@@ -278,6 +293,10 @@ Result<std::optional<Frame>> Studio::next() {
     return options_.drop_every > 0 &&
            (index + 1) % static_cast<std::uint64_t>(options_.drop_every) == 0;
   };
+  if (auto exposures = wanted_.take()) {
+    options_.schedule = exposures->empty() ? first_schedule_ : std::move(*exposures);
+    film_environment_clip();
+  }
   while (dropped(next_environment_)) ++next_environment_;
   while (dropped(next_view_)) ++next_view_;
   if (next_view_ >= static_cast<std::uint64_t>(options_.view_frames)) return std::optional<Frame>();

@@ -17,6 +17,7 @@
 #include "core/image.h"
 #include "core/pose.h"
 #include "core/result.h"
+#include "core/threads/queues.h"
 #include "core/units.h"
 
 #pragma GCC visibility push(default)
@@ -57,6 +58,8 @@ class Studio : public FrameSource {
   Result<std::optional<Frame>> next() override;
   double view_rate() const override { return options_.view_fps; }
   bool take_darker(int camera, double factor) override;
+  /// Of the environment camera alone.
+  Result<void> set_exposures(int camera, std::vector<Exposure> exposures) override;
 
   std::span<const Exposure> schedule() const { return options_.schedule; }
   Exposure view_exposure() const { return *options_.view_exposure; }
@@ -66,6 +69,8 @@ class Studio : public FrameSource {
  private:
   std::shared_ptr<const FramePixels> film(int camera, const Exposure& exposure,
                                           std::uint64_t seed) const;
+  std::uint64_t clip_seed(int i) const;
+  void film_environment_clip();
   Frame environment_frame(std::uint64_t index);
   Frame view_frame(std::uint64_t index);
   Frame darker_frame(double factor) const;
@@ -79,6 +84,8 @@ class Studio : public FrameSource {
   std::vector<std::shared_ptr<const FramePixels>> environment_clip_, view_clip_;
   std::uint64_t next_environment_ = 0, next_view_ = 0;
   std::atomic<double> darker_ = 0;  // factor of a darker view frame that is wanted; 0: none
+  std::vector<Exposure> first_schedule_;
+  Latest<std::vector<Exposure>> wanted_;  // of the environment camera
 };
 
 /// The fewest exposures that cover the light's range (docs/methods/exposures.md), longest first,

@@ -88,6 +88,44 @@ void change_budget(HttpContext& context, const Request& q, Response& r) {
   reply(r, {{"max_shadow_error", value->get<double>()}});
 }
 
+Result<std::vector<double>> numbers_of(const json& all, const char* key) {
+  std::vector<double> out;
+  const json list = all.value(key, json::array());
+  if (!list.is_array()) return fail(ErrorCode::kInvalid, key, "is no list of numbers");
+  for (const json& value : list) {
+    if (!value.is_number()) return fail(ErrorCode::kInvalid, key, "is no list of numbers");
+    out.push_back(value.get<double>());
+  }
+  return out;
+}
+
+Result<std::vector<Exposure>> read_exposures(const std::string& body) {
+  const json all = json::parse(body, nullptr, false);
+  if (!all.is_object()) return fail(ErrorCode::kInvalid, "the body", "is no JSON object");
+  for (const auto& item : all.items())
+    if (item.key() != "exposures_s" && item.key() != "gains")
+      return fail(ErrorCode::kInvalid, item.key(), "is no key here: exposures_s and gains are");
+  PENUMBRA_ASSIGN(times, numbers_of(all, "exposures_s"));
+  PENUMBRA_ASSIGN(gains, numbers_of(all, "gains"));
+  if (all.contains("gains") && gains.empty()) return fail(ErrorCode::kInvalid, "gains", "are none");
+  return capture::exposures_of(times, gains);
+}
+
+void set_exposures(HttpContext& context, const Request& q, Response& r) {
+  if (!has_json(q, r)) return;
+  const auto exposures = read_exposures(q.body);
+  if (!exposures) return refuse(r, exposures.error());
+  const std::string camera = q.matches[1].str();
+  if (const auto done = context.sources.cameras.set_exposures(camera, *exposures); !done)
+    return refuse(r, done.error());
+  json body = {{"camera", camera}, {"exposures_s", json::array()}, {"gains", json::array()}};
+  for (const Exposure& e : *exposures) {
+    body["exposures_s"].push_back(e.time.count());
+    body["gains"].push_back(e.gain.value());
+  }
+  reply(r, body, 202);
+}
+
 void start_recording(HttpContext& context, const Request& q, Response& r) {
   if (!has_json(q, r)) return;
   const auto value = only_value(q.body, "file");
@@ -138,6 +176,14 @@ void add_change_routes(httplib::Server& server, HttpContext& context) {
     reply_with_scene(context, objects.remove_lamp(number_in(q)), r, 202);
   });
   server.Patch("/v1/budget", [&](const Request& q, Response& r) { change_budget(context, q, r); });
+  server.Put("/v1/cameras/(.+)/exposures",
+             [&](const Request& q, Response& r) { set_exposures(context, q, r); });
+  server.Delete("/v1/cameras/(.+)/exposures", [&](const Request& q, Response& r) {
+    const std::string camera = q.matches[1].str();
+    if (const auto done = context.sources.cameras.set_exposures(camera, {}); !done)
+      return refuse(r, done.error());
+    reply(r, {{"camera", camera}}, 202);
+  });
   server.Post("/v1/recording",
               [&](const Request& q, Response& r) { start_recording(context, q, r); });
   server.Delete("/v1/recording", [&](const Request&, Response& r) {

@@ -251,18 +251,19 @@ struct HttpApi::Impl {
   static void set_errors(httplib::Server& server) {
     server.set_error_handler([](const Request& q, Response& r) {
       if (!r.body.empty()) return;
-      const bool reads = q.method == "GET" || q.method == "HEAD";
-      if (r.status == 404 && !reads)
-        reply(r,
-              {{"error", fmt::format("{} is not answered at {}", q.method, q.path.substr(0, 200))}},
-              405);
-      else if (r.status == 404)
-        reply(r, {{"error", fmt::format("nothing at {}", q.path.substr(0, 200))}}, 404);
-      else
+      const std::string shown = q.path.substr(0, 200);
+      const std::string allowed = r.status == 404 ? allowed_methods(q.path) : "";
+      if (!allowed.empty() && allowed.find(q.method) == std::string::npos) {
+        r.set_header("Allow", allowed);
+        reply(r, {{"error", fmt::format("{} is not answered at {}", q.method, shown)}}, 405);
+      } else if (r.status == 404) {
+        reply(r, {{"error", fmt::format("nothing at {}", shown)}}, 404);
+      } else {
         reply(
             r,
             {{"error", r.status == 413 ? "the request is too large" : "the request is not valid"}},
             r.status);
+      }
     });
   }
 

@@ -10,6 +10,7 @@
 
 #include "core/result.h"
 #include "core/threads/stage_times.h"
+#include "service/http/camera_control.h"
 #include "service/http/published_state.h"
 #include "service/recording/live_recording.h"
 #include "service/scene/scene_control.h"
@@ -33,6 +34,7 @@ struct HttpSources {
   const StageTimes& times;
   SceneControl& objects;
   LiveRecording& recording;
+  CameraControl& cameras;
 };
 
 /// Serves until destroyed.

@@ -83,6 +83,9 @@ class LiveRecording::Tap : public capture::FrameSource {
   bool take_darker(int camera, double factor) override {
     return source_.take_darker(camera, factor);
   }
+  Result<void> set_exposures(int camera, std::vector<Exposure> exposures) override {
+    return source_.set_exposures(camera, std::move(exposures));
+  }
   std::vector<capture::CameraCounts> counts() const override { return source_.counts(); }
 
  private:

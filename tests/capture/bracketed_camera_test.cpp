@@ -242,6 +242,68 @@ TEST(ExposureLabels, RatiosThatTheCameraGetsWrongAreFoundFromOverlaps) {
   EXPECT_NEAR(told_over_asked[.001] / longest, 1.1, .012);
 }
 
+// Other exposures are asked for while it films, and then the first ones again: what was asked for
+// before is still on its way, up to ten frames.
+TEST_P(Delay, OtherExposuresThatAreAskedForComeWithTheirLabels) {
+  const std::vector<Exposure> one{{Seconds(.008), Gain(1)}},
+      four{{Seconds(.03), Gain(1)},
+           {Seconds(.01), Gain(1)},
+           {Seconds(.002), Gain(1)},
+           {Seconds(.0005), Gain(1)}},
+      other{{Seconds(.0012), Gain(1)}};
+  const std::pair<std::vector<Exposure>, std::vector<Exposure>> changes[] = {
+      {kSchedule, one}, {kSchedule, four}, {one, other}, {one, kSchedule}};
+  for (const auto& [before, after] : changes) {
+    FakeCameraBehaviour b;
+    b.delay = GetParam();
+    auto fake = std::make_unique<FakeCamera>(scene(), b);
+    FakeCamera& camera = *fake;
+    BracketedCamera bracketed(info(), before, {});
+    ASSERT_TRUE(bracketed.connect(std::move(fake)));
+    int wrong = 0;
+    const auto film = [&](int frames) {
+      std::map<double, int> times;
+      for (int i = 0; i < frames; ++i) {
+        const auto frame = bracketed.next(Seconds(.1));
+        if (!frame || !*frame) continue;
+        wrong += (*frame)->exposure.time != camera.shown().time;
+        if (i >= frames - 24) ++times[(*frame)->exposure.time.count()];
+      }
+      return times;
+    };
+    EXPECT_EQ(film(70).size(), before.size());
+    bracketed.set_exposures(after);
+    const auto taken = film(70);
+    EXPECT_EQ(taken.size(), after.size());
+    for (const Exposure& e : after) EXPECT_TRUE(taken.contains(e.time.count()));
+    bracketed.set_exposures({});
+    EXPECT_EQ(film(70).size(), before.size());
+    EXPECT_EQ(wrong, 0) << before.size() << " to " << after.size();
+    EXPECT_EQ(bracketed.counts().exposures.size(), before.size());
+  }
+}
+
+TEST(BracketedCamera, ExposuresThatNobodyGaveAreNotSet) {
+  BracketedCamera as_it_stands(info(), {}, {});
+  EXPECT_FALSE(as_it_stands.sets_exposures());
+  EXPECT_TRUE(BracketedCamera(info(), {}, {}, .01).sets_exposures()) << "chosen from the light";
+}
+
+// Asked for while it is unplugged, they are there when it is back.
+TEST(BracketedCamera, ExposuresAreAskedForWhenTheCameraIsBack) {
+  FakeCameraBehaviour b;
+  b.gone_after = 20;
+  BracketedCamera bracketed(info(), {{Seconds(.004), Gain(1)}}, {});
+  ASSERT_TRUE(bracketed.connect(std::make_unique<FakeCamera>(scene(), b)));
+  while (bracketed.connected()) (void)bracketed.next(Seconds(.1));
+  bracketed.set_exposures({{Seconds(.001), Gain(1)}});
+  auto again = std::make_unique<FakeCamera>(scene(), FakeCameraBehaviour{});
+  FakeCamera& camera = *again;
+  ASSERT_TRUE(bracketed.connect(std::move(again)));
+  for (int i = 0; i < 20; ++i) ASSERT_TRUE(bracketed.next(Seconds(.1)));
+  EXPECT_EQ(camera.shown().time, Seconds(.001));
+}
+
 TEST(BracketedCamera, DamagedFramesAreCountedAndNeverShown) {
   FakeCameraBehaviour b;
   b.damaged = [](std::uint64_t frame) { return frame % 7 == 0; };

@@ -121,6 +121,30 @@ TEST_F(RigOfFakes, AViewCameraTakesADarkerFrameWhenItIsAsked) {
   EXPECT_DOUBLE_EQ(darker->exposure.time.count(), .004 / 8);
 }
 
+TEST_F(RigOfFakes, OtherExposuresAreTakenWhenTheyAreAskedFor) {
+  std::vector<RigCamera> both = cameras();
+  both[1].schedule.clear();
+  auto rig = Rig::open(both, open_fake);
+  ASSERT_TRUE(rig);
+  const auto refused = (*rig)->set_exposures(1, {{Seconds(.001), Gain(1)}});
+  ASSERT_FALSE(refused);
+  EXPECT_EQ(refused.error().where, both[1].info.name);
+  const auto wait_for = [&](Seconds time) {
+    const auto give_up = Clock::now() + std::chrono::seconds(10);
+    while (Clock::now() < give_up) {
+      const auto frame = (*rig)->next();
+      if (frame && *frame && (*frame)->camera == 0 && (*frame)->exposure.time == time) return true;
+    }
+    return false;
+  };
+  EXPECT_TRUE(wait_for(Seconds(.004)));
+  ASSERT_TRUE((*rig)->set_exposures(0, {{Seconds(.001), Gain(1)}}));
+  EXPECT_TRUE(wait_for(Seconds(.001)));
+  EXPECT_EQ((*rig)->counts()[0].exposures.size(), 1u);
+  ASSERT_TRUE((*rig)->set_exposures(0, {}));
+  EXPECT_TRUE(wait_for(Seconds(.004))) << "as at first";
+}
+
 // A slow program loses frames in the rig's own queue: without a count nobody would know.
 TEST_F(RigOfFakes, CountsWhatComesWhileTheQueueIsFull) {
   auto rig = Rig::open(cameras(), open_fake);

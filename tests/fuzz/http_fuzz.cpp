@@ -21,6 +21,7 @@ struct Served {
   service::PublishedState state;
   StageTimes times;
   service::SceneControl objects;
+  service::CameraControl cameras;
   service::LiveRecording recording{folder.path()};
   sockaddr_un name{.sun_family = AF_UNIX, .sun_path = {}};
   std::unique_ptr<service::HttpApi> api;
@@ -29,7 +30,7 @@ struct Served {
     service::HttpOptions options;
     options.socket = folder.path() / "s";
     options.socket.string().copy(name.sun_path, sizeof name.sun_path - 1);
-    auto started = service::HttpApi::start(options, {state, times, objects, recording});
+    auto started = service::HttpApi::start(options, {state, times, objects, recording, cameras});
     if (!started) std::abort();
     api = std::move(*started);
   }

@@ -253,12 +253,19 @@ class Answers(Described):
                     continue
                 answer = self.ask(method, operation.address(), b"{}" if method != "DELETE" else None, JSON)
                 self.assertEqual(answer.status, 405, f"{method} {operation.path}")
+                self.assertEqual({one for one in answer.headers["Allow"].split(", ") if one != "HEAD"},
+                                 {one.method for one in self.operations if one.path == operation.path})
                 self.assertEqual(self.schemas.faults(answer.json(), error), [])
         for path in ("/v2", "/v1", "/v1/", "/v1/lights", "/v1/frame", "/v1/environment.png", "/v1/light/..%2f..%2fetc",
-                     "/page.html", "//", "/v1/objects/box", "/" + "x" * 3000):
+                     "/page.html", "//", "/v1/objects/", "/" + "x" * 3000):
+            for method in ("GET", "DELETE"):
+                answer = self.ask(method, path)
+                self.assertEqual(answer.status, 404, path)
+                self.assertNotIn("Allow", answer.headers)
+                self.assertEqual(self.schemas.faults(answer.json(), error), [])
+        for path, allowed in (("/v1/objects/box", "DELETE, PATCH"), ("/v1/lamps/0", "DELETE, PATCH")):
             answer = self.ask("GET", path)
-            self.assertEqual(answer.status, 404, path)
-            self.assertEqual(self.schemas.faults(answer.json(), error), [])
+            self.assertEqual((answer.status, answer.headers["Allow"]), (405, allowed))
 
     def test_foreign_hosts_are_refused(self):
         for operation in self.operations:
@@ -331,7 +338,7 @@ class Changes(Described):
 
     def test_2_good_bodies_are_taken(self):
         self.wait_for_objects()
-        for name in ("changeObject", "changeBudget"):
+        for name in ("changeObject", "changeBudget", "setExposures"):
             operation = self.operation(name)
             for example in openapi.examples_of(operation.body(), self.schemas):
                 self.good_answer(name, example)
@@ -341,6 +348,22 @@ class Changes(Described):
         self.assert_close(box["turn_deg"], 45, 1e-9)
         self.assertEqual(self.good_answer("changeBudget", {"max_shadow_error": .25}), {"max_shadow_error": .25})
         self.assertEqual(self.state()["budget"], {"max_shadow_error": .25})
+
+    def test_2_exposures_are_those_that_were_asked_for(self):
+        self.wait_for("light", lambda: self.ask("GET", "/v1/light").status == 200)
+        age = lambda: self.ask("GET", "/v1/light").json()["age_s"]  # noqa: E731
+        self.wait_for("fresh light", lambda: age() < 1)
+        asked = {"exposures_s": [60.0], "gains": [1.0]}
+        self.assertEqual(self.good_answer("setExposures", asked), {"camera": "environment"} | asked)
+        self.wait_for("an old light", lambda: age() > 2)  # white pictures are none
+        self.assertEqual(self.good_answer("resetExposures"), {"camera": "environment"})
+        self.wait_for("fresh light again", lambda: age() < 1)
+        operation = self.operation("setExposures")
+        for camera, body, status in (("nobody", asked, 404), ("view", {"exposures_s": [.1, .2]}, 400),
+                                     ("view", asked, 400), ("environment", {"exposures_s": [.1], "gains": [1, 2]}, 400)):
+            answer = self.ask("PUT", f"/v1/cameras/{camera}/exposures", body)
+            self.assertEqual(answer.status, status, camera)
+            self.check_refusal(operation, answer, body)
 
     def test_3_files_are_written(self):
         self.wait_for("a frame", lambda: self.ask("GET", "/v1/frame.jpg").status == 200)

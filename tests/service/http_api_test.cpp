@@ -43,6 +43,7 @@ struct Served {
   PublishedState state;
   StageTimes times;
   SceneControl objects;
+  CameraControl cameras;
   LiveRecording recording{folder.path()};
   std::unique_ptr<HttpApi> api;
   std::optional<httplib::Client> client;
@@ -54,7 +55,7 @@ struct Served {
     if (api->port() > 0) client.emplace("127.0.0.1", api->port());
   }
   Result<std::unique_ptr<HttpApi>> start(const HttpOptions& options) {
-    return HttpApi::start(options, {state, times, objects, recording});
+    return HttpApi::start(options, {state, times, objects, recording, cameras});
   }
 };
 

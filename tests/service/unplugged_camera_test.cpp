@@ -114,11 +114,12 @@ TEST(UnpluggedCamera, ItsLightIsToldStaleAndFreshAgainWhenItIsBack) {
   constexpr double kStaleAfter_s = .4;
   const test::TempFolder folder;
   SceneControl objects;
+  CameraControl control;
   LiveRecording recording(folder.path());
   HttpOptions options;
   options.port = 0;
   options.stale_after_s = kStaleAfter_s;
-  const auto api = HttpApi::start(options, {state, times, objects, recording});
+  const auto api = HttpApi::start(options, {state, times, objects, recording, control});
   ASSERT_TRUE(api);
   std::atomic<bool> stop = false, over = false;
   Heard heard;

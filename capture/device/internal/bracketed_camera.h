@@ -57,6 +57,8 @@ class BrightnessMeter {
 /// what frames show.
 class ExposureLabels {
  public:
+  /// No camera shows a request later, frames.
+  static constexpr int kMaxDelay = 10;
   /// `delay`: frames between a request and the first frame that shows it; nothing: measured first.
   explicit ExposureLabels(std::optional<int> delay) : delay_(delay) {}
 
@@ -112,12 +114,14 @@ class BracketedCamera {
   BracketedCamera(CameraInfo info, std::vector<Exposure> schedule, std::optional<int> delay,
                   std::optional<double> light_error = {}, double fps = 30)
       : info_(std::move(info)),
-        schedule_(std::move(schedule)),
+        configured_(std::move(schedule)),
+        light_error_(light_error),
+        schedule_(configured_),
         delay_(delay),
         fps_(fps),
         meter_(info_),
         labels_(delay) {
-    if (light_error) auto_schedule_.emplace(info_, *light_error);
+    if (light_error_) auto_schedule_.emplace(info_, *light_error_);
   }
 
   /// Takes a device over, also a new one after the old one has gone.
@@ -127,6 +131,12 @@ class BracketedCamera {
   /// The next frame whose label holds; nothing when none came in time.
   /// errors: kClosed (the device is gone)
   Result<std::optional<Frame>> next(Seconds timeout);
+  /// These from now on; none: those that it was made with. Frames that may still show another
+  /// exposure than their label says are left out.
+  void set_exposures(std::vector<Exposure> exposures);
+  /// Whether it can; else the camera stands as somebody has set it.
+  /// threads: thread-safe
+  bool sets_exposures() const { return !configured_.empty() || light_error_; }
   /// next() gives one more frame, marked for_light, at `factor` of the one exposure of all others;
   /// where that is white all over, at an eighth of that, down to 1/512.
   void take_darker(double factor);
@@ -136,6 +146,7 @@ class BracketedCamera {
 
  private:
   Result<void> ask();
+  void begin_labels(std::optional<int> delay);
   void ask_for_darker();
   std::optional<Frame> pass(Frame frame, const std::optional<Exposure>& applied);
   void end_darker();
@@ -145,6 +156,8 @@ class BracketedCamera {
   void take(std::vector<Exposure> planned);
   bool asks_each_frame() const { return auto_schedule_ || schedule_.size() > 1; }
   CameraInfo info_;
+  const std::vector<Exposure> configured_;
+  const std::optional<double> light_error_;
   std::vector<Exposure> schedule_;
   std::optional<int> delay_;  // as configured
   double fps_;
@@ -155,6 +168,7 @@ class BracketedCamera {
   std::unique_ptr<CameraDevice> device_;
   std::size_t next_ = 0;  // in the schedule
   std::uint64_t sent_ = 0, lost_before_ = 0;
+  std::uint64_t settled_ = 0;       // the first frame that shows its one exposure for certain
   bool reports_exposures_ = false;  // the camera's frames tell their exposures
   // A darker frame that is asked for, from the next frame on, and the frame after it
   std::optional<Exposure> darker_exposure_;

@@ -90,6 +90,9 @@ std::string lower(std::string text);
 void reply(httplib::Response& response, const nlohmann::json& body, int status = 200);
 void refuse(httplib::Response& response, const Error& error);
 
+/// "GET, HEAD": what the description of the interface has at a path; empty: nothing.
+std::string allowed_methods(const std::string& path);
+
 void add_read_routes(httplib::Server& server, HttpContext& context);
 void add_change_routes(httplib::Server& server, HttpContext& context);
 void add_stream_routes(httplib::Server& server, HttpContext& context);
