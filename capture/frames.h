@@ -108,7 +108,7 @@ struct CameraCounts {
 };
 
 /// What may be asked of a camera: times_s[i] seconds, each with gains[i] (none: 1).
-/// errors: kInvalid ("exposures_s": none, more than 16, a time that is not above 0 and at most 60 s;
+/// errors: kInvalid ("exposures_s": none, more than 16, a time not above 0 and at most 60 s;
 ///         "gains": of another number, one that is not above 0 and at most 10,000)
 Result<std::vector<Exposure>> exposures_of(std::span<const double> times_s,
                                            std::span<const double> gains);

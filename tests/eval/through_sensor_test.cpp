@@ -45,7 +45,8 @@ Result<SensorPoint> filmed(const SensorScene& scene, const Image<Rgb>& map,
 TEST(ThroughSensor, ARoomLooksAsUnderItsTrueMap) {
   const auto bench = SensorBench::make(box_on_floor(), SensorLens::kPinhole);
   ASSERT_FILMED(bench);
-  const auto world = bench->trace("world", room(), kReferenceError);
+  const Image<Rgb> map = room();  // the world points to it
+  const auto world = bench->trace("world", map, kReferenceError);
   ASSERT_FILMED(world);
   for (const int bits : {8, 12}) {
     const auto got = bench->measure(*world, {bits, Seconds(1. / 64000)});
