@@ -198,7 +198,7 @@ TEST(PoseChain, AMapIsScaledByThePaperOfTheBoard) {
   PoseConfig config;
   config.source = "board";
   config.boards = {{HandheldFilm::board(), calib::world_from_flat_board(HandheldFilm::board())}};
-  constexpr int kFrames = 14;
+  constexpr int kFrames = 20;  // a map comes each half second
   auto posed = with_poses(std::make_unique<HandheldFilm>(false, kFrames), config, nullptr);
   ASSERT_TRUE(posed) << posed.error().detail;
   auto lit = StillEnvironment::create(
