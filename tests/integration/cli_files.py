@@ -1,6 +1,5 @@
 """Small input files, written by hand, and a PNG reader. Standard library only."""
 
-import json
 import math
 import struct
 import zlib
@@ -173,35 +172,3 @@ def write_capture(folder, codes=(60, 160), exposures=("0.01", "0.04")):
         write_png(folder / "view" / f"{i}.png", 64, 48, lambda x, y, i=i: ((7 * x + i) % 256, 5 * y, (x * y) % 256))
         rows += f"view/{i}.png,{0.04 + i * 0.03},0.02,1\n"
     (folder / "view.csv").write_text(rows)
-
-
-TETRAHEDRON = ([(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)], [(0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3)])
-
-
-def write_turning_clip(path, seconds=.5):
-    """A .glb file: a tetrahedron that goes round once in its clip "turn"."""
-    places, triangles = TETRAHEDRON
-    parts = [struct.pack(f"<{3 * len(places)}f", *(x for place in places for x in place)),
-             struct.pack(f"<{3 * len(triangles)}H", *(i for triangle in triangles for i in triangle)),
-             struct.pack("<3f", 0, seconds / 2, seconds),
-             struct.pack("<12f", 0, 0, 0, 1, 0, 1, 0, 0, 0, 0, 0, -1)]
-    views, at = [], 0
-    for part in parts:
-        views.append({"buffer": 0, "byteOffset": at, "byteLength": len(part)})
-        at += len(part)
-    kinds = ((5126, len(places), "VEC3"), (5123, 3 * len(triangles), "SCALAR"), (5126, 3, "SCALAR"), (5126, 3, "VEC4"))
-    accessors = [{"bufferView": view, "componentType": number, "count": count, "type": kind}
-                 for view, (number, count, kind) in enumerate(kinds)]
-    accessors[0] |= {"min": [min(axis) for axis in zip(*places)], "max": [max(axis) for axis in zip(*places)]}
-    accessors[2] |= {"min": [0], "max": [seconds]}
-    text = json.dumps({
-        "asset": {"version": "2.0"}, "scene": 0, "scenes": [{"nodes": [0]}], "nodes": [{"mesh": 0, "name": "body"}],
-        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1}]}],
-        "animations": [{"name": "turn", "samplers": [{"input": 2, "output": 3}],
-                        "channels": [{"sampler": 0, "target": {"node": 0, "path": "rotation"}}]}],
-        "buffers": [{"byteLength": at}], "bufferViews": views, "accessors": accessors}).encode()
-    text += b" " * (-len(text) % 4)
-    binary = b"".join(parts)
-    binary += b"\0" * (-len(binary) % 4)
-    head = struct.pack("<4s5I", b"glTF", 2, 28 + len(text) + len(binary), len(text), 0x4e4f534a, 0)[:20]
-    Path(path).write_bytes(head + text + struct.pack("<2I", len(binary), 0x004e4942) + binary)

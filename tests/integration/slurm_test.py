@@ -8,13 +8,13 @@ import json
 import os
 import shutil
 import signal
+import struct
 import subprocess
 import sys
 import tempfile
 import unittest
 from pathlib import Path
 
-import cli_files as files
 from cli_case import PATIENCE, main, program
 from slurm_cluster import Cluster, is_installed
 
@@ -136,7 +136,7 @@ class Slurm(unittest.TestCase):
         self.assertEqual([path.name for path in (self.root / "lights").glob("chart.*")], [])
 
     def test_an_asset_is_copied_to_the_machines(self):
-        files.write_turning_clip(self.root / "box's.glb")
+        (self.root / "box's.glb").write_bytes(turning_tetrahedron())
         of = {"asset": "box's.glb", "clip": "turn", "between": 0}
         script = self.run_clip("copy.shlm", "--slurm", "--shards", 2, "--copy", "--print", **of)
         self.assertEqual(script.stdout.count("sbcast --force"), 2, script.stderr)
@@ -158,6 +158,33 @@ class Slurm(unittest.TestCase):
         self.assertEqual(again.returncode, 2)
         self.assertNotIn("submitted", told)
         self.assertIn("stale.shlm.shard-1-of-2: is not a journal", told.splitlines()[-1])
+
+
+def turning_tetrahedron():
+    """A .glb file: a tetrahedron that goes round once in half a second."""
+    places = struct.pack("<12f", 0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0, 1)
+    corners = struct.pack("<12H", 0, 2, 1, 0, 1, 3, 0, 3, 2, 1, 2, 3)
+    times = struct.pack("<3f", 0, .25, .5)
+    turns = struct.pack("<12f", 0, 0, 0, 1, 0, 1, 0, 0, 0, 0, 0, -1)
+    parts, views, at = [places, corners, times, turns], [], 0
+    for part in parts:
+        views.append({"buffer": 0, "byteOffset": at, "byteLength": len(part)})
+        at += len(part)
+    kinds = ((5126, 4, "VEC3"), (5123, 12, "SCALAR"), (5126, 3, "SCALAR"), (5126, 3, "VEC4"))
+    accessors = [{"bufferView": view, "componentType": number, "count": count, "type": kind}
+                 for view, (number, count, kind) in enumerate(kinds)]
+    accessors[0] |= {"min": [0, 0, 0], "max": [1, 1, 1]}
+    accessors[2] |= {"min": [0], "max": [.5]}
+    text = json.dumps({
+        "asset": {"version": "2.0"}, "scene": 0, "scenes": [{"nodes": [0]}], "nodes": [{"mesh": 0, "name": "body"}],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1}]}],
+        "animations": [{"name": "turn", "samplers": [{"input": 2, "output": 3}],
+                        "channels": [{"sampler": 0, "target": {"node": 0, "path": "rotation"}}]}],
+        "buffers": [{"byteLength": at}], "bufferViews": views, "accessors": accessors}).encode()
+    text += b" " * (-len(text) % 4)
+    binary = b"".join(parts)
+    head = struct.pack("<4s5I", b"glTF", 2, 28 + len(text) + len(binary), len(text), 0x4e4f534a, 0)[:20]
+    return head + text + struct.pack("<2I", len(binary), 0x004e4942) + binary
 
 
 if __name__ == "__main__":
