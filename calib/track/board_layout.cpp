@@ -17,6 +17,7 @@ std::vector<bool> cells_of(const cv::Ptr<cv::aruco::Dictionary>& dictionary, int
       out[static_cast<std::size_t>(i)] = drawn.at<std::uint8_t>(i / cells, i % cells) < 128;
   } catch (const cv::Exception&) {
     // An id beyond the dictionary, which parse_board() refuses: a black marker is never found.
+    std::fill(out.begin(), out.end(), true);
   }
   return out;
 }

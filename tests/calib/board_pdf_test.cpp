@@ -36,14 +36,10 @@ PdfPage read_page(const std::string& pdf) {
   std::vector<PdfRectangle> path;
   double scale = 1;
   for (std::string word; stream >> word;) {
-    try {
-      std::size_t used = 0;
-      const double value = std::stod(word, &used);
-      if (used == word.size()) {
-        numbers.push_back(value);
-        continue;
-      }
-    } catch (const std::exception&) {
+    double value = 0;
+    if (std::istringstream number(word); number >> value && number.eof()) {
+      numbers.push_back(value);
+      continue;
     }
     const std::size_t n = numbers.size();
     if (word == "cm")
