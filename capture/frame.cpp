@@ -37,7 +37,8 @@ Result<std::vector<Exposure>> exposures_of(std::span<const double> times_s,
   return out;
 }
 
-Result<void> FrameSource::set_exposures(int /*camera*/, std::vector<Exposure> /*exposures*/) {
+Result<void> FrameSource::set_exposures(int /*camera*/,
+                                        const std::vector<Exposure>& /*exposures*/) {
   return fail(ErrorCode::kInvalid, "exposures_s",
               "of these frames were chosen when they were taken");
 }

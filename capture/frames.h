@@ -19,6 +19,7 @@
 #include "calib/camera/camera_model.h"
 #include "calib/camera/noise.h"
 #include "calib/camera/response.h"
+#include "core/environment.h"
 #include "core/image.h"
 #include "core/pose.h"
 #include "core/result.h"
@@ -71,6 +72,8 @@ struct CameraInfo {
   std::vector<Lens> lenses;
   std::optional<Ball> ball;  // shows the surroundings in a view camera's picture
   Rgb ball_reflectance{1, 1, 1};
+  // No camera, but the light that others measured: its frames are maps of `projection`'s size.
+  bool gives_maps = false;
 };
 
 /// One frame with its own truth. Pixels are shared and never changed after capture.
@@ -80,12 +83,13 @@ struct Frame {
   TimestampNs time;
   Exposure exposure;  // APPLIED, not requested
   Pose world_from_camera;
-  std::shared_ptr<const FramePixels> pixels;
+  std::shared_ptr<const FramePixels> pixels;  // null: a map
   // The same as the camera coded it, if it did
   std::shared_ptr<const std::vector<std::byte>> jpeg{};
   // Taken darker than the camera's others, for what those overexpose: measured, never shown
   bool for_light = false;
   float opacity = 1;  // of what is virtual, 0..1: below 1 while its pose is old
+  std::shared_ptr<const Environment> map{};  // lat-long in world directions, where gives_maps
 };
 
 int width(const FramePixels& pixels);
@@ -137,7 +141,7 @@ class FrameSource {
   /// it began with. Its frames tell from when on they have them.
   /// errors: kInvalid (a source or a camera whose exposures are not set)
   /// threads: thread-safe
-  virtual Result<void> set_exposures(int camera, std::vector<Exposure> exposures);
+  virtual Result<void> set_exposures(int camera, const std::vector<Exposure>& exposures);
   /// What became of the frames of real cameras, in the order of cameras(); empty for other sources.
   /// threads: thread-safe
   virtual std::vector<CameraCounts> counts() const { return {}; }

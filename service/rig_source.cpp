@@ -16,7 +16,7 @@ namespace {
 class LoopingCapture : public capture::FrameSource {
  public:
   static Result<std::unique_ptr<LoopingCapture>> open(const std::string& path) {
-    PENUMBRA_ASSIGN(first, capture::open_capture(path));
+    PENUMBRA_ASSIGN(first, capture::open_capture(path, capture::RecordedLight::kEither));
     auto out = std::unique_ptr<LoopingCapture>(new LoopingCapture);
     out->path_ = path;
     out->cameras_ = first->cameras();
@@ -29,7 +29,7 @@ class LoopingCapture : public capture::FrameSource {
     auto frame = source_->next();
     if (!frame) return frame;
     if (!*frame) {
-      PENUMBRA_ASSIGN(again, capture::open_capture(path_));
+      PENUMBRA_ASSIGN(again, capture::open_capture(path_, capture::RecordedLight::kEither));
       source_ = std::move(again);
       frame = source_->next();
       if (!frame || !*frame) return frame;

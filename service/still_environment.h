@@ -38,10 +38,10 @@ class StillEnvironment : public capture::FrameSource {
   bool take_darker(int camera, double factor) override {
     return frames_->take_darker(camera, factor);
   }
-  Result<void> set_exposures(int camera, std::vector<Exposure> exposures) override {
+  Result<void> set_exposures(int camera, const std::vector<Exposure>& exposures) override {
     if (camera >= static_cast<int>(frames_->cameras().size()))
-      return FrameSource::set_exposures(camera, std::move(exposures));  // the map's
-    return frames_->set_exposures(camera, std::move(exposures));
+      return FrameSource::set_exposures(camera, exposures);  // the map's
+    return frames_->set_exposures(camera, exposures);
   }
   std::vector<capture::CameraCounts> counts() const override { return frames_->counts(); }
 

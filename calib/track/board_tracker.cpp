@@ -175,13 +175,13 @@ std::optional<SolvedPose> BoardTracker::Impl::decide(std::span<const Sighting> p
   const double worse = misfit(*other, sigma) - misfit(first, sigma);
   if (turn < kSame) return worse >= 0 ? first : *other;
   if (worse > kDecided) return first;
-  if (worse < -kDecided) return other;
+  if (worse < -kDecided) return *other;
   if (last && time - last->time <= kDecides) {
     const Pose expected = predicted(time);
     const double from_first = angle_between(expected, first.world_from_camera),
                  from_other = angle_between(expected, other->world_from_camera);
     if (from_first < kNearer * from_other) return first;
-    if (from_other < kNearer * from_first) return other;
+    if (from_other < kNearer * from_first) return *other;
   }
   undecided = true;
   return std::nullopt;

@@ -18,11 +18,11 @@ Result<void> BracketedCamera::connect(std::unique_ptr<CameraDevice> device) {
   return ask();
 }
 
-void BracketedCamera::set_exposures(std::vector<Exposure> exposures) {
+void BracketedCamera::set_exposures(const std::vector<Exposure>& exposures) {
   if (!sets_exposures()) return;
   auto_schedule_.reset();
   if (exposures.empty() && light_error_) auto_schedule_.emplace(info_, *light_error_);
-  schedule_ = exposures.empty() ? configured_ : std::move(exposures);
+  schedule_ = exposures.empty() ? configured_ : exposures;
   next_ = 0;
   counts_.light_error.reset();
   // A delay that was measured may be off by a turn of the exposures before.

@@ -69,7 +69,7 @@ struct Rig::Station {
         const std::uint64_t arrived = arrivals();
         if (auto exposures = wanted.take()) {
           expect(*exposures);
-          bracketed.set_exposures(std::move(*exposures));
+          bracketed.set_exposures(*exposures);
         }
         if (const double factor = darker.exchange(0); factor > 0) bracketed.take_darker(factor);
         auto frame = bracketed.next(kTurn);
@@ -169,12 +169,12 @@ bool Rig::take_darker(int camera, double factor) {
   return true;
 }
 
-Result<void> Rig::set_exposures(int camera, std::vector<Exposure> exposures) {
+Result<void> Rig::set_exposures(int camera, const std::vector<Exposure>& exposures) {
   Station& station = *stations_.at(static_cast<std::size_t>(camera));
   if (!station.bracketed.sets_exposures())
     return fail(ErrorCode::kInvalid, station.camera.info.name,
                 "stays at the exposure that it has: the rig file gives it no exposures_s");
-  station.wanted.put(std::move(exposures));
+  station.wanted.put(exposures);
   return {};
 }
 

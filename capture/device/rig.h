@@ -48,7 +48,7 @@ class Rig : public FrameSource {
   bool is_live() const override { return true; }
   void close() override;
   bool take_darker(int camera, double factor) override;
-  Result<void> set_exposures(int camera, std::vector<Exposure> exposures) override;
+  Result<void> set_exposures(int camera, const std::vector<Exposure>& exposures) override;
 
   std::vector<CameraCounts> counts() const override;
 

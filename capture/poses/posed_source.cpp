@@ -40,7 +40,7 @@ Result<std::vector<MovingCamera>> moving_cameras(const std::vector<CameraInfo>& 
 
 Result<std::unique_ptr<PosedSource>> PosedSource::create(std::unique_ptr<FrameSource> frames,
                                                          std::unique_ptr<PoseSource> poses,
-                                                         PosedSourceOptions options) {
+                                                         const PosedSourceOptions& options) {
   const auto refuse = [](ErrorCode code, std::string why) {
     return fail(code, "poses of frames", std::move(why));
   };

@@ -43,7 +43,7 @@ class PosedSource : public FrameSource {
   ///         hour), kNonFinite
   static Result<std::unique_ptr<PosedSource>> create(std::unique_ptr<FrameSource> frames,
                                                      std::unique_ptr<PoseSource> poses,
-                                                     PosedSourceOptions options);
+                                                     const PosedSourceOptions& options);
 
   const std::vector<CameraInfo>& cameras() const override { return frames_->cameras(); }
   Result<std::optional<Frame>> next() override;
@@ -53,8 +53,8 @@ class PosedSource : public FrameSource {
   bool take_darker(int camera, double factor) override {
     return frames_->take_darker(camera, factor);
   }
-  Result<void> set_exposures(int camera, std::vector<Exposure> exposures) override {
-    return frames_->set_exposures(camera, std::move(exposures));
+  Result<void> set_exposures(int camera, const std::vector<Exposure>& exposures) override {
+    return frames_->set_exposures(camera, exposures);
   }
   std::vector<CameraCounts> counts() const override { return frames_->counts(); }
 

@@ -128,8 +128,9 @@ Result<void> check_frame(const Frame& frame, const CameraInfo& camera,
     return fail(ErrorCode::kInvalid, fmt::format("{}, frame {}", camera.name, frame.sequence),
                 std::move(detail));
   };
-  if (!frame.pixels) return invalid("has no pixels");
-  const int w = width(*frame.pixels), h = height(*frame.pixels);
+  if (!frame.pixels && !frame.map) return invalid("has no pixels");
+  const int w = frame.map ? frame.map->radiance.width() : width(*frame.pixels),
+            h = frame.map ? frame.map->radiance.height() : height(*frame.pixels);
   if (w != camera.projection.width || h != camera.projection.height)
     return invalid(fmt::format("has {}x{} pixels instead of {}x{}", w, h, camera.projection.width,
                                camera.projection.height));
@@ -168,6 +169,9 @@ Result<void> CaptureFolderWriter::write(const Frame& frame) {
     return fail(ErrorCode::kInvalid, "capture folder",
                 fmt::format("has no camera {}", frame.camera));
   const auto last = last_row(rows_[n]);
+  if (frame.map)
+    return fail(ErrorCode::kInvalid, cameras_[n].name,
+                "is a light track, which a recording holds and a capture folder does not");
   PENUMBRA_TRY(check_frame(frame, cameras_[n], last ? std::optional(last->time) : std::nullopt));
   const bool linear = std::holds_alternative<Image<Rgb>>(*frame.pixels);
   const std::string file = fmt::format("{}/{:06}.{}", cameras_[n].name,

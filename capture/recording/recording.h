@@ -6,6 +6,7 @@
 #include <filesystem>
 #include <memory>
 #include <span>
+#include <string_view>
 #include <vector>
 
 #include "capture/frames.h"
@@ -14,11 +15,12 @@
 #pragma GCC visibility push(default)
 namespace penumbra::capture {
 
-/// How a camera's pictures are kept. All three replay to the same pixels.
+/// How a camera's pictures are kept. All but maps replay to the same pixels.
 enum class Coding {
   kJpeg,   // as the camera coded them (Motion JPEG)
   kRgb8,   // losslessly coded here (FFVHUFF)
   kRgb16,  // the same at 16 bits
+  kMap,    // a map of the surroundings, with loss (docs/methods/recordings.md)
 };
 /// errors: kInvalid (no picture, float pixels: they belong into a capture folder)
 Result<Coding> coding_of(const Frame& frame);
@@ -54,14 +56,29 @@ class RecordingWriter {
   std::unique_ptr<Impl> impl_;
 };
 
+/// Where a replay takes its light from.
+enum class RecordedLight {
+  kCameras,  // a light track is left out: pictures alone
+  kTrack,    // maps that were measured while it was recorded; cameras of the surroundings are left
+             // out
+  kEither,   // the cameras where any shows the surroundings, else the track
+  kBoth,     // all that is in there
+};
+/// Names as in options: auto, cameras, track.
+/// errors: kInvalid naming the known ones
+Result<RecordedLight> recorded_light(std::string_view name);
+
 /// Frames in order of time. What a killed writer left behind ends with the last whole frame.
 /// errors: kNotFound, kUnreadable (damaged, no Matroska), kInvalid (made by another program).
+/// kInvalid too where nothing is left (no light track, or that alone).
 /// next(): kUnreadable names the frame; the next call goes on behind it.
-Result<std::unique_ptr<FrameSource>> open_recording(const std::filesystem::path& path);
+Result<std::unique_ptr<FrameSource>> open_recording(const std::filesystem::path& path,
+                                                    RecordedLight light = RecordedLight::kCameras);
 
-/// A capture folder or a recording, whichever stands there.
+/// A capture folder, which has no light track, or a recording, whichever stands there.
 /// errors: as open_capture_folder and open_recording
-Result<std::unique_ptr<FrameSource>> open_capture(const std::filesystem::path& path);
+Result<std::unique_ptr<FrameSource>> open_capture(const std::filesystem::path& path,
+                                                  RecordedLight light = RecordedLight::kCameras);
 
 }  // namespace penumbra::capture
 #pragma GCC visibility pop

@@ -7,13 +7,16 @@
 #include <tuple>
 
 #include "calib/camera/response.h"
+#include "capture/camera_regions.h"
 #include "capture/frames.h"
 #include "capture/raw_formats.h"
 #include "capture/recording/folder.h"
 #include "capture/recording/folder_format.h"
+#include "capture/recording/internal/map_coding.h"
 #include "capture/recording/internal/recording_format.h"
 #include "capture/recording/recording.h"
 #include "core/io/toml_keys.h"
+#include "core/picture_size.h"
 
 extern "C" {
 #include <libavcodec/avcodec.h>
@@ -42,12 +45,6 @@ using Packet = std::unique_ptr<AVPacket, FreePacket>;
 struct FreeContainer {
   void operator()(AVFormatContext* c) const { avformat_close_input(&c); }
 };
-struct FreeDecoder {
-  void operator()(AVCodecContext* c) const { avcodec_free_context(&c); }
-};
-struct FreeFrame {
-  void operator()(AVFrame* f) const { av_frame_free(&f); }
-};
 struct FreeScaler {
   void operator()(SwsContext* s) const { sws_freeContext(s); }
 };
@@ -55,6 +52,7 @@ struct FreeScaler {
 // One camera's pictures, decoded.
 class PictureTrack {
  public:
+  explicit PictureTrack(int stream) : stream_(stream) {}
   static Result<PictureTrack> open(const AVStream& stream, const CameraInfo& camera);
   Result<FramePixels> decode(const AVPacket& packet);
   [[nodiscard]] bool is_jpeg() const { return jpeg_.has_value(); }
@@ -68,15 +66,14 @@ class PictureTrack {
   Result<FramePixels> from_frame();
   int stream_ = 0, width_ = 0, height_ = 0;
   std::optional<RawConverter> jpeg_;
-  std::unique_ptr<AVCodecContext, FreeDecoder> decoder_;
-  std::unique_ptr<AVFrame, FreeFrame> frame_;
+  AvCodec decoder_;
+  AvPicture frame_;
   std::unique_ptr<SwsContext, FreeScaler> to_rgb_;  // only reorders channels
   int scaled_format_ = AV_PIX_FMT_NONE;
 };
 
 Result<PictureTrack> PictureTrack::open(const AVStream& stream, const CameraInfo& camera) {
-  PictureTrack out;
-  out.stream_ = stream.index;
+  PictureTrack out(stream.index);
   out.width_ = camera.projection.width;
   out.height_ = camera.projection.height;
   const AVCodecParameters& c = *stream.codecpar;
@@ -153,6 +150,54 @@ Result<FramePixels> PictureTrack::from_frame() {
   return out;
 }
 
+// A light track's maps.
+class MapTrack {
+ public:
+  static Result<MapTrack> open(const AVStream& light, const AVStream& seen,
+                               const CameraInfo& track);
+  /// out: nothing for a map that builds on one that is missing or damaged
+  /// errors: kUnreadable, once for each damage
+  Result<std::optional<Environment>> decode(const AVPacket& light, std::uint64_t number,
+                                            const MapLabel& label);
+
+  int seen = -1;                    // stream
+  std::deque<Packet> waiting_seen;  // packets of it
+
+ private:
+  explicit MapTrack(MapDecoder decoder) : decoder_(std::move(decoder)) {}
+  MapDecoder decoder_;
+  std::optional<std::uint64_t> next_;  // map that can be decoded beside those that stand alone
+};
+
+Result<MapTrack> MapTrack::open(const AVStream& light, const AVStream& seen,
+                                const CameraInfo& track) {
+  const calib::CameraModel& size = track.projection;
+  for (const AVCodecParameters* c : {light.codecpar, seen.codecpar})
+    if (c->width != size.width || c->height != size.height)
+      return fail(ErrorCode::kInvalid, track.name,
+                  fmt::format("has maps of {}x{} pixels instead of {}x{}", c->width, c->height,
+                              size.width, size.height));
+  PENUMBRA_ASSIGN(decoder, MapDecoder::open(*light.codecpar, *seen.codecpar));
+  MapTrack out(std::move(decoder));
+  out.seen = seen.index;
+  return out;
+}
+
+Result<std::optional<Environment>> MapTrack::decode(const AVPacket& light, std::uint64_t number,
+                                                    const MapLabel& label) {
+  while (!waiting_seen.empty() && waiting_seen.front()->pts < light.pts) waiting_seen.pop_front();
+  const bool begins = (light.flags & AV_PKT_FLAG_KEY) != 0;
+  if (!begins && next_ != number) return std::nullopt;
+  next_.reset();
+  if (waiting_seen.empty() || waiting_seen.front()->pts != light.pts)
+    return fail(ErrorCode::kUnreadable, "map", "does not tell what was seen");
+  const Packet mask = std::move(waiting_seen.front());
+  waiting_seen.pop_front();
+  PENUMBRA_ASSIGN(map, decoder_.decode(light, *mask, label));
+  next_ = number + 1;
+  return map;
+}
+
 // ------------------------------------------------------------------------------- the file
 
 struct CodedFrame {
@@ -160,6 +205,7 @@ struct CodedFrame {
   std::uint64_t sequence;
   FrameRow row;
   Packet picture;
+  MapLabel map_label{};
 };
 
 std::string text_of(const AVDictionary* tags, const char* key) {
@@ -169,7 +215,7 @@ std::string text_of(const AVDictionary* tags, const char* key) {
 
 class Recording final : public FrameSource {
  public:
-  static Result<std::unique_ptr<FrameSource>> open(const fs::path& path);
+  static Result<std::unique_ptr<FrameSource>> open(const fs::path& path, RecordedLight light);
   const std::vector<CameraInfo>& cameras() const override { return cameras_; }
   double view_rate() const override { return view_rate_; }
   Result<std::optional<Frame>> next() override;
@@ -177,7 +223,12 @@ class Recording final : public FrameSource {
  private:
   Result<void> open_container();
   Result<void> read_cameras();
+  Result<void> read_light_track(const TomlKeys& keys);
+  Result<void> choose_light(RecordedLight light);
+  const AVStream* find_stream(AVMediaType type, const std::string& title) const;
   Result<void> find_tracks();
+  Result<std::optional<Frame>> decode(const CodedFrame& coded);
+  Result<std::optional<Frame>> decode_map(const CodedFrame& coded);
   Result<void> keep_picture(Packet packet);
   Result<void> keep_label(const AVPacket& label, std::size_t camera);
   Result<void> read_ahead();
@@ -192,7 +243,8 @@ class Recording final : public FrameSource {
   fs::path path_;
   std::unique_ptr<AVFormatContext, FreeContainer> container_;
   std::vector<CameraInfo> cameras_;
-  std::vector<PictureTrack> tracks_;
+  std::vector<PictureTrack> tracks_;  // a camera each
+  std::optional<MapTrack> maps_;      // of the last one, if that gives maps
   std::deque<CodedFrame> ahead_;
   bool ended_ = false;
   double view_rate_ = 0;
@@ -230,64 +282,130 @@ Result<void> Recording::read_cameras() {
   const fs::path named = path_ / manifest->first;
   PENUMBRA_ASSIGN(root, parse_toml_text(manifest->second, named));
   const TomlKeys keys(named, root);
-  constexpr std::string_view known[] = {"version", "view_rate_fps", "camera"};
+  constexpr std::string_view known[] = {"version", "view_rate_fps", "camera", kLightTrack};
   PENUMBRA_TRY(keys.only(known));
   PENUMBRA_TRY(keys.version(1));
   PENUMBRA_ASSIGN(rate, keys.number("view_rate_fps"));
   if (rate < 0 || rate > 1e4) return keys.invalid("view_rate_fps", "is not within 0..10000");
   view_rate_ = rate;
-  PENUMBRA_ASSIGN(cameras, capture::read_cameras(root, named, [&](const std::string& name) {
-                    const auto file = attached.find(name);
-                    if (file != attached.end())
-                      return calib::parse_response_file(file->second, path_ / name);
-                    if (name.ends_with(kResponseSuffix))
-                      return Result<calib::Response>(
-                          fail(ErrorCode::kUnreadable, named.string(), name + " is missing"));
-                    return calib::parse_response(name);
-                  }));
-  cameras_ = std::move(cameras);
+  if (keys.has("camera")) {
+    PENUMBRA_ASSIGN(cameras, capture::read_cameras(root, named, [&](const std::string& name) {
+                      const auto file = attached.find(name);
+                      if (file != attached.end())
+                        return calib::parse_response_file(file->second, path_ / name);
+                      if (name.ends_with(kResponseSuffix))
+                        return Result<calib::Response>(
+                            fail(ErrorCode::kUnreadable, named.string(), name + " is missing"));
+                      return calib::parse_response(name);
+                    }));
+    cameras_ = std::move(cameras);
+  }
+  if (!keys.has(kLightTrack)) return {};
+  PENUMBRA_ASSIGN(light, keys.table(kLightTrack));
+  return read_light_track(light);
+}
+
+Result<void> Recording::read_light_track(const TomlKeys& keys) {
+  constexpr std::string_view known[] = {"name", "width", "height"};
+  PENUMBRA_TRY(keys.only(known));
+  CameraInfo track;
+  PENUMBRA_ASSIGN(name, keys.text("name"));
+  PENUMBRA_ASSIGN(width, keys.integer("width", 1, kMaxSide));
+  PENUMBRA_ASSIGN(height, keys.integer("height", 1, kMaxSide));
+  PENUMBRA_TRY(check_map_size(width, height));
+  track.name = name;
+  track.gives_maps = true;
+  PENUMBRA_ASSIGN(projection,
+                  calib::make_projection(calib::ProjectionKind::kLatLong, width, height));
+  track.projection = projection;
+  track.response = calib::Response::linear();
+  cameras_.push_back(track);
+  return check_cameras(cameras_);
+}
+
+// Leaves out what is not wanted: it is not read.
+Result<void> Recording::choose_light(RecordedLight light) {
+  const bool has_track = std::ranges::any_of(cameras_, &CameraInfo::gives_maps),
+             has_cameras = std::ranges::any_of(cameras_, [](const CameraInfo&c) {
+               return !c.gives_maps && shows_surroundings(c);
+             });
+  if (light == RecordedLight::kBoth) return {};
+  if (light == RecordedLight::kTrack && !has_track)
+    return fail(ErrorCode::kInvalid, path_.string(), "has no light track");
+  const bool from_track = light == RecordedLight::kTrack ||
+                          (light == RecordedLight::kEither && has_track && !has_cameras);
+  std::erase_if(cameras_, [&](const CameraInfo& c) {
+    return c.gives_maps ? !from_track : from_track && c.role == Role::kEnvironment;
+  });
+  if (cameras_.empty())
+    return fail(ErrorCode::kInvalid, path_.string(), "has a light track alone, and no pictures");
+  if (from_track)
+    for (CameraInfo& c : cameras_) c.ball.reset();
   return {};
+}
+
+const AVStream* Recording::find_stream(AVMediaType type, const std::string& title) const {
+  for (unsigned i = 0; i < container_->nb_streams; ++i) {
+    const AVStream& s = *container_->streams[i];
+    if (s.codecpar->codec_type == type && text_of(s.metadata, "title") == title) return &s;
+  }
+  return nullptr;
 }
 
 Result<void> Recording::find_tracks() {
-  for (unsigned i = 0; i < container_->nb_streams; ++i) {
-    const AVStream& s = *container_->streams[i];
-    if (s.codecpar->codec_type == AVMEDIA_TYPE_VIDEO) {
-      if (tracks_.size() == cameras_.size())
-        return unreadable("has more video tracks than cameras");
-      auto track = PictureTrack::open(s, cameras_[tracks_.size()]);
-      if (!track)
-        return fail(track.error().code, path_.string(),
-                    track.error().where + ": " + track.error().detail);
-      tracks_.push_back(std::move(*track));
+  for (const CameraInfo& camera : cameras_) {
+    const AVStream* const pictures = find_stream(AVMEDIA_TYPE_VIDEO, camera.name);
+    const AVStream* const labels = find_stream(AVMEDIA_TYPE_SUBTITLE, label_title(camera.name));
+    if (!pictures) return unreadable("has no video track of camera " + camera.name);
+    if (!labels) return unreadable("has no labels of camera " + camera.name);
+    Result<PictureTrack> track = PictureTrack(pictures->index);
+    if (camera.gives_maps) {
+      const AVStream* const seen = find_stream(AVMEDIA_TYPE_VIDEO, seen_title(camera.name));
+      if (!seen) return unreadable("does not tell what was seen of " + camera.name);
+      auto maps = MapTrack::open(*pictures, *seen, camera);
+      if (maps)
+        maps_ = std::move(*maps);
+      else
+        track = std::unexpected(maps.error());
+    } else {
+      track = PictureTrack::open(*pictures, camera);
     }
+    if (!track)
+      return fail(track.error().code, path_.string(),
+                  track.error().where + ": " + track.error().detail);
+    track->labels = labels->index;
+    tracks_.push_back(std::move(*track));
   }
-  if (tracks_.size() != cameras_.size())
-    return unreadable(
-        fmt::format("has {} video tracks for {} cameras", tracks_.size(), cameras_.size()));
-  for (std::size_t n = 0; n < tracks_.size(); ++n) {
-    for (unsigned i = 0; i < container_->nb_streams; ++i) {
-      const AVStream& s = *container_->streams[i];
-      if (s.codecpar->codec_type == AVMEDIA_TYPE_SUBTITLE &&
-          text_of(s.metadata, "title") == label_title(cameras_[n].name))
-        tracks_[n].labels = s.index;
-    }
-    if (tracks_[n].labels < 0) return unreadable("has no labels of camera " + cameras_[n].name);
+  // What nobody asks for is not read.
+  for (unsigned i = 0; i < container_->nb_streams; ++i) {
+    const int n = static_cast<int>(i);
+    const bool wanted =
+        (maps_ && maps_->seen == n) || std::ranges::any_of(tracks_, [n](const PictureTrack& t) {
+          return t.stream() == n || t.labels == n;
+        });
+    container_->streams[i]->discard = wanted ? AVDISCARD_DEFAULT : AVDISCARD_ALL;
   }
   return {};
 }
 
-Result<std::unique_ptr<FrameSource>> Recording::open(const fs::path& path) {
+Result<std::unique_ptr<FrameSource>> Recording::open(const fs::path& path, RecordedLight light) {
   av_log_set_level(AV_LOG_FATAL);
   auto out = std::make_unique<Recording>();
   out->path_ = path;
   PENUMBRA_TRY(out->open_container());
   PENUMBRA_TRY(out->read_cameras());
+  PENUMBRA_TRY(out->choose_light(light));
   PENUMBRA_TRY(out->find_tracks());
   return out;
 }
 
 Result<void> Recording::keep_picture(Packet packet) {
+  if (maps_ && packet->stream_index == maps_->seen) {
+    if (maps_->waiting_seen.size() == kAhead + kMaxWaiting)
+      return fail(ErrorCode::kUnreadable, at(*packet), "has maps without labels");
+    maps_->waiting_seen.push_back(std::move(packet));
+    return {};
+  }
   for (PictureTrack& track : tracks_) {
     if (track.stream() != packet->stream_index) continue;
     if (track.waiting.size() == kMaxWaiting)
@@ -303,7 +421,16 @@ Result<void> Recording::keep_picture(Packet packet) {
 Result<void> Recording::keep_label(const AVPacket& label, std::size_t n) {
   const std::string_view text(reinterpret_cast<const char*>(label.data),
                               static_cast<std::size_t>(label.size));
-  PENUMBRA_ASSIGN(row, parse_row(text, true, at(label)));
+  const std::string_view of_map = text.substr(std::min(text.find(';'), text.size()));
+  PENUMBRA_ASSIGN(row, parse_row(text.substr(0, text.size() - of_map.size()), true, at(label)));
+  MapLabel map_label;
+  if (cameras_[n].gives_maps) {
+    auto parsed = parse_map_label(of_map, row.exposure.time.count());
+    if (!parsed)
+      return fail(ErrorCode::kUnreadable, at(label),
+                  fmt::format("\"{}\" {}", parsed.error().where, parsed.error().detail));
+    map_label = std::move(*parsed);
+  }
   const auto slash = row.file.rfind('/');
   std::uint64_t sequence = 0;
   const char* const end = row.file.data() + row.file.size();
@@ -314,7 +441,7 @@ Result<void> Recording::keep_label(const AVPacket& label, std::size_t n) {
   auto& waiting = tracks_[n].waiting;
   while (!waiting.empty() && waiting.front()->pts < label.pts) waiting.pop_front();
   if (waiting.empty() || waiting.front()->pts != label.pts) return {};
-  ahead_.push_back({n, sequence, std::move(row), std::move(waiting.front())});
+  ahead_.push_back({n, sequence, std::move(row), std::move(waiting.front()), std::move(map_label)});
   waiting.pop_front();
   return {};
 }
@@ -336,15 +463,25 @@ Result<void> Recording::read_ahead() {
   return {};
 }
 
-Result<std::optional<Frame>> Recording::next() {
-  PENUMBRA_TRY(read_ahead());
-  if (ahead_.empty()) return std::nullopt;
-  // At the same time the light comes before the picture that it lights.
-  const auto first = std::ranges::min_element(ahead_, {}, [&](const CodedFrame& c) {
-    return std::tuple(c.row.time, cameras_[c.camera].role == Role::kView, c.camera);
-  });
-  const CodedFrame coded = std::move(*first);
-  ahead_.erase(first);
+Result<std::optional<Frame>> Recording::decode_map(const CodedFrame& coded) {
+  auto map = maps_->decode(*coded.picture, coded.sequence, coded.map_label);
+  if (!map)
+    return fail(ErrorCode::kUnreadable, at(*coded.picture),
+                fmt::format("{}: {}", coded.row.file, map.error().detail));
+  if (!*map) return std::nullopt;
+  (*map)->time = coded.row.time;
+  Frame frame{.camera = static_cast<int>(coded.camera),
+              .sequence = coded.sequence,
+              .time = coded.row.time,
+              .exposure = {Seconds(1), Gain(1)},
+              .world_from_camera = *coded.row.pose,
+              .pixels = {}};
+  frame.map = std::make_shared<const Environment>(std::move(**map));
+  return frame;
+}
+
+Result<std::optional<Frame>> Recording::decode(const CodedFrame& coded) {
+  if (cameras_[coded.camera].gives_maps) return decode_map(coded);
   PictureTrack& track = tracks_[coded.camera];
   auto pixels = track.decode(*coded.picture);
   if (!pixels)
@@ -363,19 +500,45 @@ Result<std::optional<Frame>> Recording::next() {
   return frame;
 }
 
-}  // namespace
-
-Result<std::unique_ptr<FrameSource>> open_recording(const fs::path& path) {
-  std::error_code ignored;
-  if (!fs::exists(path, ignored)) return fail(ErrorCode::kNotFound, path.string(), "no such file");
-  return Recording::open(path);
+Result<std::optional<Frame>> Recording::next() {
+  for (;;) {
+    PENUMBRA_TRY(read_ahead());
+    if (ahead_.empty()) return std::nullopt;
+    // At the same time the light comes before the picture that it lights.
+    const auto first = std::ranges::min_element(ahead_, {}, [&](const CodedFrame& c) {
+      return std::tuple(c.row.time, cameras_[c.camera].role == Role::kView, c.camera);
+    });
+    const CodedFrame coded = std::move(*first);
+    ahead_.erase(first);
+    PENUMBRA_ASSIGN(frame, decode(coded));
+    if (frame) return frame;
+  }
 }
 
-Result<std::unique_ptr<FrameSource>> open_capture(const fs::path& path) {
+}  // namespace
+
+Result<RecordedLight> recorded_light(std::string_view name) {
+  if (name == "auto") return RecordedLight::kEither;
+  if (name == "cameras") return RecordedLight::kCameras;
+  if (name == "track") return RecordedLight::kTrack;
+  return fail(ErrorCode::kInvalid, std::string(name), "is none of auto, cameras and track");
+}
+
+Result<std::unique_ptr<FrameSource>> open_recording(const fs::path& path, RecordedLight light) {
+  std::error_code ignored;
+  if (!fs::exists(path, ignored)) return fail(ErrorCode::kNotFound, path.string(), "no such file");
+  return Recording::open(path, light);
+}
+
+Result<std::unique_ptr<FrameSource>> open_capture(const fs::path& path, RecordedLight light) {
   std::error_code ignored;
   if (!fs::exists(path, ignored))
     return fail(ErrorCode::kNotFound, path.string(), "is neither a recording nor a capture folder");
-  return fs::is_regular_file(path, ignored) ? open_recording(path) : open_capture_folder(path);
+  if (fs::is_regular_file(path, ignored)) return open_recording(path, light);
+  if (light == RecordedLight::kTrack)
+    return fail(ErrorCode::kInvalid, path.string(),
+                "is a capture folder, which has no light track: a recording may have one");
+  return open_capture_folder(path);
 }
 
 }  // namespace penumbra::capture

@@ -12,6 +12,7 @@
 #include "calib/camera/response.h"
 #include "capture/frames.h"
 #include "capture/recording/folder_format.h"
+#include "capture/recording/internal/map_coding.h"
 #include "capture/recording/internal/recording_format.h"
 #include "capture/recording/recording.h"
 #include "capture/unique_fd.h"
@@ -29,7 +30,17 @@ constexpr int kBufferBytes = 1 << 16;
 constexpr AVRational kMilliseconds{1, 1000};
 
 std::string_view coding_name(Coding coding) {
-  return coding == Coding::kJpeg ? "JPEG" : coding == Coding::kRgb8 ? "8 bits" : "16 bits";
+  switch (coding) {
+    case Coding::kJpeg:
+      return "JPEG";
+    case Coding::kRgb8:
+      return "8 bits";
+    case Coding::kRgb16:
+      return "16 bits";
+    case Coding::kMap:
+      return "a map";
+  }
+  return "";
 }
 
 struct VideoTrack {
@@ -40,6 +51,11 @@ struct VideoTrack {
   AVFrame* picture = nullptr;
   AVPacket* packet = nullptr;
   std::optional<TimestampNs> last{};
+  // Of a light track:
+  std::optional<MapEncoder> maps{};
+  MapLabel map_label{};
+  AVStream* seen_stream = nullptr;
+  AVPacket* seen = nullptr;
 };
 
 template <class Pixel>
@@ -65,6 +81,7 @@ void fill_packed(const Image<Rgb8>& from, AVFrame& to) {
 }  // namespace
 
 Result<Coding> coding_of(const Frame& frame) {
+  if (frame.map) return Coding::kMap;
   if (frame.jpeg) return Coding::kJpeg;
   if (!frame.pixels) return fail(ErrorCode::kInvalid, "frame", "has no pixels");
   if (std::holds_alternative<Image<Rgb8>>(*frame.pixels)) return Coding::kRgb8;
@@ -92,11 +109,14 @@ struct RecordingWriter::Impl {
   }
   Result<void> open(std::span<const Coding> codings, double view_rate);
   Result<void> open_file();
+  AVStream* add_stream(const std::string& title);
   Result<void> add_track(const CameraInfo& camera, Coding coding, double rate);
   Result<void> open_encoder(VideoTrack& track, const CameraInfo& camera);
+  Result<void> open_maps(VideoTrack& track, const CameraInfo& camera);
   Result<void> attach(const std::string& name, const std::string& text);
   Result<void> attach_cameras(double view_rate);
   Result<void> code(const Frame& frame, VideoTrack& track);
+  std::string label_text(const Frame& frame, const VideoTrack& track) const;
   Result<void> mux(const Frame& frame, VideoTrack& track);
 
   static int write_bytes(void* self, std::uint8_t* data, int size);
@@ -129,6 +149,7 @@ RecordingWriter::Impl::~Impl() {
     avcodec_free_context(&track.encoder);
     av_frame_free(&track.picture);
     av_packet_free(&track.packet);
+    av_packet_free(&track.seen);
   }
   av_packet_free(&label);
   if (!container) return;
@@ -176,17 +197,33 @@ Result<void> RecordingWriter::Impl::open_encoder(VideoTrack& track, const Camera
   return {};
 }
 
+AVStream* RecordingWriter::Impl::add_stream(const std::string& title) {
+  AVStream* const stream = avformat_new_stream(container, nullptr);
+  stream->time_base = kMilliseconds;
+  av_dict_set(&stream->metadata, "title", title.c_str(), 0);
+  return stream;
+}
+
+Result<void> RecordingWriter::Impl::open_maps(VideoTrack& track, const CameraInfo& camera) {
+  PENUMBRA_ASSIGN(encoder, MapEncoder::create(camera.projection.width, camera.projection.height,
+                                              container->oformat->flags & AVFMT_GLOBALHEADER));
+  avcodec_parameters_from_context(track.stream->codecpar, &encoder.light());
+  track.seen_stream = add_stream(seen_title(camera.name));
+  track.seen = av_packet_alloc();
+  avcodec_parameters_from_context(track.seen_stream->codecpar, &encoder.seen());
+  track.maps = std::move(encoder);
+  return {};
+}
+
 Result<void> RecordingWriter::Impl::add_track(const CameraInfo& camera, Coding coding,
                                               double rate) {
-  VideoTrack track{.coding = coding,
-                   .stream = avformat_new_stream(container, nullptr),
-                   .packet = av_packet_alloc()};
-  track.stream->time_base = kMilliseconds;
+  VideoTrack track{
+      .coding = coding, .stream = add_stream(camera.name), .packet = av_packet_alloc()};
   if (rate > 0) track.stream->avg_frame_rate = {static_cast<int>(std::lround(rate * 1000)), 1000};
-  av_dict_set(&track.stream->metadata, "title", camera.name.c_str(), 0);
-  tracks.push_back(track);
+  tracks.push_back(std::move(track));
+  if (coding == Coding::kMap) return open_maps(tracks.back(), camera);
   if (coding != Coding::kJpeg) return open_encoder(tracks.back(), camera);
-  AVCodecParameters& c = *track.stream->codecpar;
+  AVCodecParameters& c = *tracks.back().stream->codecpar;
   c.codec_type = AVMEDIA_TYPE_VIDEO;
   c.codec_id = AV_CODEC_ID_MJPEG;
   c.width = camera.projection.width;
@@ -210,6 +247,11 @@ Result<void> RecordingWriter::Impl::attach(const std::string& name, const std::s
 Result<void> RecordingWriter::Impl::attach_cameras(double view_rate) {
   std::string text = fmt::format("version = 1\nview_rate_fps = {}\n", view_rate);
   for (const CameraInfo& camera : cameras) {
+    if (camera.gives_maps) {
+      text += fmt::format("\n[{}]\nname = \"{}\"\nwidth = {}\nheight = {}\n", kLightTrack,
+                          camera.name, camera.projection.width, camera.projection.height);
+      continue;
+    }
     std::string response = camera.response.describe();
     if (response.starts_with("table")) {  // has no name: goes into a file of its own
       response = camera.name + std::string(kResponseSuffix);
@@ -228,11 +270,9 @@ Result<void> RecordingWriter::Impl::open(std::span<const Coding> codings, double
     PENUMBRA_TRY(add_track(cameras[i], codings[i], cameras[i].role == Role::kView ? view_rate : 0));
   for (std::size_t i = 0; i < cameras.size(); ++i) {
     AVStream*& labels = tracks[i].labels;
-    labels = avformat_new_stream(container, nullptr);
+    labels = add_stream(label_title(cameras[i].name));
     labels->codecpar->codec_type = AVMEDIA_TYPE_SUBTITLE;
     labels->codecpar->codec_id = AV_CODEC_ID_TEXT;
-    labels->time_base = kMilliseconds;
-    av_dict_set(&labels->metadata, "title", label_title(cameras[i].name).c_str(), 0);
   }
   label = av_packet_alloc();
   PENUMBRA_TRY(attach_cameras(view_rate));
@@ -247,6 +287,11 @@ Result<void> RecordingWriter::Impl::open(std::span<const Coding> codings, double
 
 // The picture as a packet.
 Result<void> RecordingWriter::Impl::code(const Frame& frame, VideoTrack& track) {
+  if (track.maps) {
+    PENUMBRA_ASSIGN(told, track.maps->code(*frame.map, *track.packet, *track.seen));
+    track.map_label = std::move(told);
+    return {};
+  }
   if (track.coding == Coding::kJpeg) {
     if (const int r = av_new_packet(track.packet, static_cast<int>(frame.jpeg->size())); r < 0)
       return std::unexpected(error(r));
@@ -267,10 +312,20 @@ Result<void> RecordingWriter::Impl::code(const Frame& frame, VideoTrack& track) 
   return {};
 }
 
-Result<void> RecordingWriter::Impl::mux(const Frame& frame, VideoTrack& track) {
+// A map is coded as what has changed since the one before, so its label counts what was coded.
+std::string RecordingWriter::Impl::label_text(const Frame& frame, const VideoTrack& track) const {
   const std::string& name = cameras[static_cast<std::size_t>(frame.camera)].name;
-  const std::string text = print_row({fmt::format("{}/{}", name, frame.sequence), frame.time,
-                                      frame.exposure, frame.world_from_camera});
+  if (!track.maps)
+    return print_row({fmt::format("{}/{}", name, frame.sequence), frame.time, frame.exposure,
+                      frame.world_from_camera});
+  const Exposure exposure{Seconds(track.map_label.exposure), Gain(1)};
+  return print_row(
+             {fmt::format("{}/{}", name, track.maps->coded() - 1), frame.time, exposure, Pose{}}) +
+         print_map_label(track.map_label);
+}
+
+Result<void> RecordingWriter::Impl::mux(const Frame& frame, VideoTrack& track) {
+  const std::string text = label_text(frame, track);
   const std::scoped_lock lock(muxing);
   if (write_errno) return std::unexpected(error(0));
   if (!first) first = frame.time;
@@ -283,7 +338,9 @@ Result<void> RecordingWriter::Impl::mux(const Frame& frame, VideoTrack& track) {
   label->duration = 1;
   label->stream_index = track.labels->index;
   track.packet->stream_index = track.stream->index;
-  for (AVPacket* const packet : {track.packet, label}) {
+  if (track.seen) track.seen->stream_index = track.seen_stream->index;
+  for (AVPacket* const packet : {track.packet, track.seen, label}) {
+    if (!packet) continue;
     packet->pts = packet->dts =
         av_rescale_q(ms, kMilliseconds, container->streams[packet->stream_index]->time_base);
     const int r = av_write_frame(container, packet);

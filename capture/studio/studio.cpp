@@ -268,9 +268,9 @@ bool Studio::take_darker(int camera, double factor) {
   return true;
 }
 
-Result<void> Studio::set_exposures(int camera, std::vector<Exposure> exposures) {
-  if (camera != kEnvironmentCamera) return FrameSource::set_exposures(camera, std::move(exposures));
-  wanted_.put(std::move(exposures));
+Result<void> Studio::set_exposures(int camera, const std::vector<Exposure>& exposures) {
+  if (camera != kEnvironmentCamera) return FrameSource::set_exposures(camera, exposures);
+  wanted_.put(exposures);
   return {};
 }
 

@@ -59,7 +59,7 @@ class Studio : public FrameSource {
   double view_rate() const override { return options_.view_fps; }
   bool take_darker(int camera, double factor) override;
   /// Of the environment camera alone.
-  Result<void> set_exposures(int camera, std::vector<Exposure> exposures) override;
+  Result<void> set_exposures(int camera, const std::vector<Exposure>& exposures) override;
 
   std::span<const Exposure> schedule() const { return options_.schedule; }
   Exposure view_exposure() const { return *options_.view_exposure; }

@@ -82,8 +82,11 @@ Result<LightEstimationStage> LightEstimationStage::create(
     if (!capture::shows_surroundings(cameras[i])) continue;
     const std::size_t count =
         cameras[i].ball ? 1 : std::max<std::size_t>(1, cameras[i].lenses.size());
-    for (std::size_t k = 0; k < count; ++k)
-      stage.views_.emplace_back().camera = static_cast<int>(i);
+    for (std::size_t k = 0; k < count; ++k) {
+      RegionView& view = stage.views_.emplace_back();
+      view.camera = static_cast<int>(i);
+      view.is_map = cameras[i].gives_maps;
+    }
     const auto posed = stage.set_pose(static_cast<int>(i), cameras[i].world_from_camera);
     // A ball may come into the picture later.
     if (!posed && posed.error().code != ErrorCode::kUndetermined)
@@ -127,7 +130,8 @@ Result<void> LightEstimationStage::set_pose(int camera, const Pose& world_from_c
     capture::CameraRegion& region = (*regions)[next++];
     const bool same_size =
         view.region && view.region->width == region.width && view.region->height == region.height;
-    if (!same_size || !view.ring) view.ring.emplace(camera_of(info, region), kRingSlots);
+    if (!view.is_map && (!same_size || !view.ring))
+      view.ring.emplace(camera_of(info, region), kRingSlots);
     view.region = std::move(region);
   }
   return regions ? Result<void>{} : std::unexpected(regions.error());
@@ -136,17 +140,19 @@ Result<void> LightEstimationStage::set_pose(int camera, const Pose& world_from_c
 // One map for all views, as fine as the finest has been.
 void LightEstimationStage::lay_out() {
   const int before = rows_;
-  for (const RegionView& v : views_)
-    if (v.region) rows_ = std::max(rows_, v.region->rows);
-  rows_ = std::clamp(rows_ / 2 * 2, 16, kLongestSide);
+  if (!rows_fixed_) {
+    for (const RegionView& v : views_)
+      if (v.region) rows_ = std::max(rows_, v.region->rows);
+    rows_ = std::clamp(rows_ / 2 * 2, 16, kLongestSide);
+  }
   for (std::size_t i = 0; i < views_.size(); ++i) {
     RegionView& v = views_[i];
-    if (v.assembler && rows_ == before) continue;
+    if ((v.assembler || v.is_map) && rows_ == before) continue;
     v.map = {};
     v.fresh = false;
     v.assembler.reset();
     const capture::CameraInfo& info = cameras_[static_cast<std::size_t>(v.camera)];
-    if (v.region)
+    if (v.region && !v.is_map)
       v.assembler.emplace(*v.region, info.world_from_camera, 2 * rows_, rows_, colour_of(info));
     if (blend_)
       blend_->set_view(i,
@@ -156,11 +162,13 @@ void LightEstimationStage::lay_out() {
 
 Result<void> LightEstimationStage::follow(const capture::Frame& frame) {
   const capture::CameraInfo& info = cameras_[static_cast<std::size_t>(frame.camera)];
-  const int w = capture::width(*frame.pixels), h = capture::height(*frame.pixels);
+  const int w = frame.map ? frame.map->radiance.width() : capture::width(*frame.pixels),
+            h = frame.map ? frame.map->radiance.height() : capture::height(*frame.pixels);
   if (w != info.projection.width || h != info.projection.height)
     return fail(ErrorCode::kInvalid, fmt::format("{} frame {}", info.name, frame.sequence),
                 fmt::format("has {}x{} pixels instead of {}x{}", w, h, info.projection.width,
                             info.projection.height));
+  if (info.gives_maps) return {};
   const auto& view = *std::ranges::find(views_, frame.camera, &RegionView::camera);
   if (stands(info, frame.world_from_camera)) {
     if (view.region) return {};
@@ -173,6 +181,12 @@ Result<void> LightEstimationStage::follow(const capture::Frame& frame) {
 }
 
 Result<void> LightEstimationStage::merge(RegionView& view, const capture::Frame& frame) {
+  if (view.is_map) {
+    view.map = *frame.map;
+    view.map.time = frame.time;
+    view.fresh = true;
+    return {};
+  }
   capture::Frame part = frame;
   // A ball's picture does not turn with the camera.
   part.world_from_camera = {};
@@ -208,8 +222,14 @@ Environment& LightEstimationStage::whole() {
   return environment_;
 }
 
-Result<void> LightEstimationStage::process(const capture::Frame& frame,
-                                           lighting::LightEstimate& out) {
+void LightEstimationStage::fix_rows(int rows) {
+  rows_fixed_ = true;
+  rows_ = rows;
+  for (RegionView& v : views_) v.assembler.reset();
+  lay_out();
+}
+
+Result<void> LightEstimationStage::assemble(const capture::Frame& frame) {
   ++frames_;
   PENUMBRA_TRY(follow(frame));
   Result<void> failed;
@@ -227,6 +247,13 @@ Result<void> LightEstimationStage::process(const capture::Frame& frame,
   // What the first exposures saturate a shorter one may still resolve.
   const auto owes = [](const RegionView& v) { return v.fresh && !v.bracket_complete(); };
   if (std::ranges::any_of(views_, owes)) environment.clipped.clear();
+  return {};
+}
+
+Result<void> LightEstimationStage::process(const capture::Frame& frame,
+                                           lighting::LightEstimate& out) {
+  PENUMBRA_TRY(assemble(frame));
+  const Environment& environment = this->environment();
   {
     const StageTimer timer(times_, "light");
     estimator_.look_for_unseen_sun(ready());
@@ -239,7 +266,7 @@ Result<void> LightEstimationStage::process(const capture::Frame& frame,
 void LightEstimationStage::warn_once(const lighting::LightEstimate& estimate) {
   if (!warned_ && std::ranges::any_of(estimate.lights, &lighting::DistantLight::clipped)) {
     const auto clips = std::ranges::find_if(views_, [](const RegionView& v) {
-      return v.fresh && v.map.clipped_fraction > 0 && v.ring->shortest_clips();
+      return v.fresh && v.map.clipped_fraction > 0 && (v.is_map || v.ring->shortest_clips());
     });
     warned_ = clips != views_.end();
     if (warned_)

@@ -49,6 +49,12 @@ class LightEstimationStage {
   /// black or all clipped, a ball out of the picture)
   /// out: keeps its memory; as it was after an error
   Result<void> process(const capture::Frame& frame, lighting::LightEstimate& out);
+  /// As process() without an estimate: into environment() alone.
+  Result<void> assemble(const capture::Frame& frame);
+  /// Makes all maps of so many rows, whatever the cameras resolve.
+  /// in: before the first frame; even, 16..1024
+  void fix_rows(int rows);
+  int rows() const { return rows_; }
   Result<lighting::LightEstimate> process(const capture::Frame& frame) {
     lighting::LightEstimate out;
     PENUMBRA_TRY(process(frame, out));
@@ -74,8 +80,9 @@ class LightEstimationStage {
     std::optional<capture::HdrRing> ring{};
     std::optional<capture::EnvironmentAssembler> assembler{};  // made with the map's size
     Environment map{};
-    bool fresh = false;  // `map` shows something
-    bool bracket_complete() const { return ring && ring->bracket_complete(); }
+    bool fresh = false;   // `map` shows something
+    bool is_map = false;  // comes as a whole, assembled before
+    bool bracket_complete() const { return is_map ? fresh : ring && ring->bracket_complete(); }
   };
   LightEstimationStage(const std::vector<capture::CameraInfo>& cameras,
                        const lighting::EstimateOptions& options, StageTimes& times);
@@ -91,6 +98,7 @@ class LightEstimationStage {
   std::vector<RegionView> views_;                   // by camera
   std::optional<capture::EnvironmentBlend> blend_;  // of more than one
   int rows_ = 0;
+  bool rows_fixed_ = false;
   Environment environment_;  // blended
   lighting::LightEstimator estimator_;
   StageTimes& times_;

@@ -10,7 +10,7 @@ void CameraControl::attach(capture::FrameSource* source) {
 }
 
 Result<void> CameraControl::set_exposures(const std::string& camera,
-                                          std::vector<Exposure> exposures) {
+                                          const std::vector<Exposure>& exposures) {
   const std::scoped_lock lock(mutex_);
   if (!source_) return fail(ErrorCode::kUnavailable, "the service", "is still starting");
   const std::vector<capture::CameraInfo>& cameras = source_->cameras();
@@ -19,7 +19,7 @@ Result<void> CameraControl::set_exposures(const std::string& camera,
   if (found->role == capture::Role::kView && exposures.size() > 1)
     return fail(ErrorCode::kInvalid, "exposures_s",
                 "are several, of a camera whose picture is shown: it takes one");
-  return source_->set_exposures(static_cast<int>(found - cameras.begin()), std::move(exposures));
+  return source_->set_exposures(static_cast<int>(found - cameras.begin()), exposures);
 }
 
 }  // namespace penumbra::service

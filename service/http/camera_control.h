@@ -19,7 +19,7 @@ class CameraControl {
   /// Exposures in turn, or those that the rig file gives the camera where there are none.
   /// errors: kNotFound (no camera of that name), kInvalid (its exposures cannot be set; several, of
   ///         a camera whose picture is shown), kUnavailable (the service is still starting)
-  Result<void> set_exposures(const std::string& camera, std::vector<Exposure> exposures);
+  Result<void> set_exposures(const std::string& camera, const std::vector<Exposure>& exposures);
 
  private:
   std::mutex mutex_;

@@ -126,14 +126,35 @@ void set_exposures(HttpContext& context, const Request& q, Response& r) {
   reply(r, body, 202);
 }
 
+struct RecordingWanted {
+  std::string file;
+  runtime::KeptLight light = runtime::KeptLight::kCameras;
+};
+Result<RecordingWanted> read_recording(const std::string& body) {
+  const json all = json::parse(body, nullptr, false);
+  if (!all.is_object()) return fail(ErrorCode::kInvalid, "the body", "is no JSON object");
+  RecordingWanted out;
+  for (const auto& [key, value] : all.items()) {
+    if (key != "file" && key != "light")
+      return fail(ErrorCode::kInvalid, key, "is no key here: file and light are");
+    if (value.is_null()) continue;
+    if (!value.is_string()) return fail(ErrorCode::kInvalid, key, "is not a text");
+    if (key == "file") {
+      out.file = value.get<std::string>();
+      continue;
+    }
+    const auto light = runtime::kept_light(value.get<std::string>());
+    if (!light) return fail(ErrorCode::kInvalid, key, light.error().detail);
+    out.light = *light;
+  }
+  return out;
+}
+
 void start_recording(HttpContext& context, const Request& q, Response& r) {
   if (!has_json(q, r)) return;
-  const auto value = only_value(q.body, "file");
-  if (!value) return refuse(r, value.error());
-  if (!value->is_null() && !value->is_string())
-    return refuse(r, {ErrorCode::kInvalid, "file", "is not a text"});
-  const auto started =
-      context.sources.recording.start(value->is_string() ? value->get<std::string>() : "");
+  const auto wanted = read_recording(q.body);
+  if (!wanted) return refuse(r, wanted.error());
+  const auto started = context.sources.recording.start(wanted->file, wanted->light);
   if (!started) return refuse(r, started.error());
   reply(r, {{"file", *started}}, 201);
 }

@@ -83,8 +83,8 @@ class LiveRecording::Tap : public capture::FrameSource {
   bool take_darker(int camera, double factor) override {
     return source_.take_darker(camera, factor);
   }
-  Result<void> set_exposures(int camera, std::vector<Exposure> exposures) override {
-    return source_.set_exposures(camera, std::move(exposures));
+  Result<void> set_exposures(int camera, const std::vector<Exposure>& exposures) override {
+    return source_.set_exposures(camera, exposures);
   }
   std::vector<capture::CameraCounts> counts() const override { return source_.counts(); }
 
@@ -129,7 +129,7 @@ Result<fs::path> LiveRecording::new_file(const std::string& stem, const std::str
   return out;
 }
 
-Result<std::string> LiveRecording::start(const std::string& name) {
+Result<std::string> LiveRecording::start(const std::string& name, runtime::KeptLight light) {
   if (!name.empty() && !is_plain_name(name))
     return fail(ErrorCode::kInvalid, "file",
                 "is no name of letters, digits, '_', '-' and '.' that ends in .mkv");
@@ -142,11 +142,17 @@ Result<std::string> LiveRecording::start(const std::string& name) {
   if (!source_) return fail(ErrorCode::kUnavailable, "the service", "is still starting");
   if (branch_)
     return fail(ErrorCode::kUnavailable, state_->file, "is being recorded: stop it first");
+  auto made = std::make_shared<Branch>(*source_);
+  std::shared_ptr<capture::FrameSource> frames = made;
+  if (light != runtime::KeptLight::kCameras) {
+    PENUMBRA_ASSIGN(tracked, runtime::with_light_track(*made, light));
+    frames = std::move(tracked);
+  }
   stop_ = false;
-  branch_ = std::make_shared<Branch>(*source_);
+  branch_ = made;
   state_.emplace();
   state_->file = file.filename().string();
-  thread_ = std::jthread([this, file, branch = branch_] {
+  thread_ = std::jthread([this, file, branch = std::move(made), frames = std::move(frames)] {
     const auto tell = [&](const RecordCounts& counts) {
       const std::scoped_lock told(mutex_);
       state_->counts = counts;
@@ -154,7 +160,7 @@ Result<std::string> LiveRecording::start(const std::string& name) {
     };
     Result<RecordCounts> done = fail(ErrorCode::kUnavailable, file.string(), "");
     try {
-      done = record_frames(*branch, file, {}, stop_, tell);
+      done = record_frames(*frames, file, {}, stop_, tell);
     } catch (const std::exception& e) {
       done = fail(ErrorCode::kUnavailable, file.string(), e.what());
     }

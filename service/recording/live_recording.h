@@ -13,6 +13,7 @@
 
 #include "capture/frames.h"
 #include "core/result.h"
+#include "runtime/pipeline/light_track.h"
 #include "service/recording/recorder.h"
 
 namespace penumbra::service {
@@ -35,10 +36,12 @@ class LiveRecording {
   std::unique_ptr<capture::FrameSource> tap(capture::FrameSource& source);
 
   /// name: of the file, without folder, ending in .mkv; empty: by date and time
+  /// light: its maps are measured beside the run's own, on the recording's thread
   /// out: the file's name
   /// errors: kInvalid (a bad name, a file that is there), kUnavailable (one goes on already, no
   ///         source yet), kUnwritable
-  Result<std::string> start(const std::string& name);
+  Result<std::string> start(const std::string& name,
+                            runtime::KeptLight light = runtime::KeptLight::kCameras);
   /// Waits until the file is whole.
   /// errors: kNotFound (none goes on); of the recording
   Result<RecordingState> stop();

@@ -739,6 +739,48 @@ class Record(CliTest):
             pictures = {(self.root / run / f"frame_{i:06}.png").read_bytes() for run in ("first", "second", "third")}
             self.assertEqual(len(pictures), 1, f"frame {i}")
 
+    def test_light_of_a_track_makes_the_pictures_that_its_cameras_make(self):
+        folder, takes = self.root / "film", {}
+        self.run_well("demo", "--headless", "--frames", 12, "--width", 320, "--height", 180, "--out",
+                      self.root / "filmed", "--asset", "builtin:box", "--no-turntable", "--record", folder)
+        frames = sum(len((folder / f"{name}.csv").read_text().splitlines()) - 1 for name in ("environment", "view"))
+        rig = self.rig(f'[capture]\nsource = "{folder}"\n[scene]\nfile = "{folder}/scene.toml"\n')
+        for light in ("cameras", "track", "both"):
+            takes[light] = self.root / f"light_{light}.mkv"
+            self.run_json("record", "--config", rig, "--out", takes[light], "--light", light, "--seconds", .6)
+        names = {light: set(self.cameras_of(take)) for light, take in takes.items()}
+        self.assertEqual(names, {"cameras": {"environment", "view"}, "track": {"view", "light"},
+                                 "both": {"environment", "view", "light"}})
+        maps = self.cameras_of(takes["track"])["light"]
+        self.assertGreater(maps["frames"], (frames - 12) // 2)
+        of_cameras = takes["cameras"].stat().st_size - takes["track"].stat().st_size
+        self.assertGreater(of_cameras, 50 * 2000 * maps["frames"])
+        runs = {"cameras": ("both", "cameras"), "track": ("both", "track"), "alone": ("track", "auto")}
+        exposures = {}
+        for run, (take, light) in runs.items():
+            summary = self.run_json("composite", "--capture", takes[take], "--scene", folder / "scene.toml",
+                                    "--coarse", "--light", light, "--out", self.root / run)
+            exposures[run] = summary["configuration"]["exposures"]
+        self.assertGreater(exposures["cameras"], 1)
+        self.assertEqual((exposures["track"], exposures["alone"]), (0, 0))
+        for i in (6, 11):
+            name = f"frame_{i:06}.png"
+            self.assertEqual((self.root / "track" / name).read_bytes(), (self.root / "alone" / name).read_bytes())
+            apart = self.run_json("compare", self.root / "cameras" / name, self.root / "track" / name)
+            self.assertLess(apart["rel_rmse"], .02, apart)
+            plain = self.run_json("compare", self.root / "cameras" / name, folder / "view" / name[6:])
+            self.assertGreater(plain["rel_rmse"], 4 * apart["rel_rmse"], "nothing was put in")
+        environment = self.run_json("hdr", "environment", takes["track"], "-o", self.root / "of_track.exr")
+        self.assertEqual(environment["width"], maps["width"])
+        self.expect_refusal(["light_cameras.mkv", "no light track"], "composite", "--capture", takes["cameras"],
+                            "--scene", folder / "scene.toml", "--light", "track", "--out", self.root / "none")
+        self.expect_refusal(["capture folder"], "composite", "--capture", folder, "--scene",
+                            folder / "scene.toml", "--light", "track", "--out", self.root / "none")
+        self.expect_refusal(["sun", "auto, cameras and track"], "composite", "--capture", folder, "--scene",
+                            folder / "scene.toml", "--light", "sun", "--out", self.root / "none")
+        self.expect_refusal(["16..1024"], "record", "--config", rig, "--out", self.root / "no.mkv", "--light",
+                            "track", "--light-rows", 3)
+
     def test_stopped_recording_is_whole(self):
         recording = self.root / "stopped.mkv"
         process = subprocess.Popen([program(), "record", "--config", self.studio(), "--out", recording],

@@ -367,7 +367,7 @@ class Changes(Described):
 
     def test_3_files_are_written(self):
         self.wait_for("a frame", lambda: self.ask("GET", "/v1/frame.jpg").status == 200)
-        for example in ({}, {"file": "take_1.mkv"}):
+        for example in ({}, {"file": "take_1.mkv"}, {"file": "take_2.mkv", "light": "track"}):
             name = self.good_answer("startRecording", example)["file"]
             start = self.operation("startRecording")
             self.check_answer(start, self.ask("POST", start.path, {}), "a second one")

@@ -273,6 +273,11 @@ TEST(HttpApi, ChangesThatAreNoneAreRefusedByName) {
             ->status,
         400)
         << file;
+  for (const char* body : {R"({"light": "sun"})", R"({"light": 3})", R"({"lihgt": "track"})"}) {
+    const auto refused_light = s.client->Post("/v1/recording", body, "application/json");
+    EXPECT_EQ(refused_light->status, 400) << body;
+    EXPECT_NE(refused_light->body.find("light"), std::string::npos) << refused_light->body;
+  }
   EXPECT_EQ(s.client->Post("/v1/recording", "{}", "application/json")->status, 503);
   EXPECT_EQ(s.client->Delete("/v1/recording")->status, 404);
   EXPECT_EQ(s.client->Post("/v1/snapshot", "{}", "application/json")->status, 503);

@@ -26,6 +26,7 @@ struct ChartOptions {
   int bits = 8;                             // of both cameras, for that
   double shortest_exposure_s = 1. / 64000;  // of the environment camera, for that
   std::string view_lens = "pinhole";        // of the view camera, for that
+  bool light_track = false;                 // chart the coding of maps of the surroundings instead
   std::string animation;  // of the first asset: chart the compression of its transfer instead
   std::string light_map = "128x128";
   int frames = 100, samples = 512;
@@ -36,6 +37,8 @@ struct ChartOptions {
 };
 /// Bytes against rendered error of ways to code transfer over a clip.
 Result<void> chart_clip(const ChartOptions& options);
+/// Bytes against the light's error of ways to keep maps of the surroundings.
+Result<void> chart_light_track(const ChartOptions& options);
 /// Errors of the joined chain, from both cameras' sensors to the picture.
 Result<void> chart_through_sensor(const ChartOptions& options);
 

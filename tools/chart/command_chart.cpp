@@ -201,6 +201,13 @@ void add_chart(CLI::App& parent, Action& action) {
               "Write camera, composite and truth of each case side by side, .exr")
       ->needs(sensor)
       ->group(kSensor);
+  CLI::Option* const light_track =
+      c->add_flag("--light-track", chart_options.light_track,
+                  "Chart bytes against the error of the light for several coders of the maps of a "
+                  "recording's light track")
+          ->excludes(governor)
+          ->excludes(sensor)
+          ->group("Coding of a light track instead");
   const char* const kClip = "Compression of a clip's transfer instead";
   CLI::Option* const clip =
       c->add_option(
@@ -210,6 +217,7 @@ void add_chart(CLI::App& parent, Action& action) {
           ->check(not_empty)
           ->excludes(governor)
           ->excludes(sensor)
+          ->excludes(light_track)
           ->group(kClip);
   c->add_option("--light-map", chart_options.light_map,
                 "Size of the light map, WIDTHxHEIGHT texels, 8 to 4096 each")
@@ -252,6 +260,7 @@ void add_chart(CLI::App& parent, Action& action) {
   add_json(c, chart_options.json);
   c->callback([&] {
     action = [] {
+      if (chart_options.light_track) return chart_light_track(chart_options);
       return chart_options.animation.empty() ? chart(chart_options) : chart_clip(chart_options);
     };
   });

@@ -7,8 +7,6 @@
 
 #include "capture/studio/environments.h"
 #include "codec/codec.h"
-#include "core/io/files.h"
-#include "core/io/log.h"
 #include "lighting/sh/projection.h"
 #include "lighting/sh/rotation.h"
 #include "prt/clip/light_map.h"
@@ -22,22 +20,16 @@
 #include "tools/chart/clip_setup.h"
 #include "tools/chart/peers/peer_codecs.h"
 #include "tools/chart/peers/rgbe_video.h"
+#include "tools/chart/rate_chart.h"
 #include "tools/common/print.h"
 #include "tools/farm/core_limit.h"
 #include "tools/farm/shard_choice.h"
 #include "tools/farm/shard_file.h"
-#include "tools/plots/gnuplot.h"
 #include "tools/runs/output.h"
 
 namespace penumbra::tools {
 
 namespace {
-
-struct RatePoint {
-  std::string coder, setting;
-  std::size_t bytes;
-  double error;  // rendered, relative RMSE
-};
 
 // The clip's transfer as baked, as maps, and the lights that tell what an error looks like.
 class ClipBench {
@@ -217,45 +209,6 @@ Result<void> ClipBench::run(const std::filesystem::path& scratch,
   return {};
 }
 
-std::string plot_of(const std::vector<RatePoint>& points, const std::string& title) {
-  std::string script =
-      "set terminal svg size 900,640 font 'sans-serif,13' background 'white'\n"
-      "set logscale xy\nset grid\nset key top right\nset xlabel 'Megabytes'\n"
-      "set ylabel 'Rendered error: relative RMSE (per cent)'\n";
-  script += fmt::format("set title {}\nplot ", gnuplot_quoted(title));
-  std::vector<std::string> coders;
-  for (const RatePoint& p : points)
-    if (std::ranges::find(coders, p.coder) == coders.end()) coders.push_back(p.coder);
-  for (std::size_t i = 0; i < coders.size(); ++i)
-    script += fmt::format("{}'-' using 1:2 with linespoints linewidth 2 pointtype {} title {}",
-                          i > 0 ? ", " : "", 5 + 2 * i, gnuplot_quoted(coders[i]));
-  script += "\n";
-  for (const std::string& coder : coders) {
-    for (const RatePoint& p : points)
-      if (p.coder == coder)
-        script += fmt::format("{} {}\n", static_cast<double>(p.bytes) * 1e-6, 100 * p.error);
-    script += "e\n";
-  }
-  return script;
-}
-
-// At an error, on the straight line between logarithms; nothing outside the coder's range.
-std::optional<double> bytes_at(const std::vector<RatePoint>& points, const std::string& coder,
-                               double error) {
-  std::vector<const RatePoint*> own;
-  for (const RatePoint& p : points)
-    if (p.coder == coder) own.push_back(&p);
-  std::ranges::sort(own, {}, [](const RatePoint* p) { return p->error; });
-  for (std::size_t i = 0; i + 1 < own.size(); ++i) {
-    if (!(own[i]->error <= error && error <= own[i + 1]->error)) continue;
-    const double fraction =
-        std::log(error / own[i]->error) / std::log(own[i + 1]->error / own[i]->error);
-    return std::exp(std::lerp(std::log(static_cast<double>(own[i]->bytes)),
-                              std::log(static_cast<double>(own[i + 1]->bytes)), fraction));
-  }
-  return {};
-}
-
 }  // namespace
 
 Result<void> chart_clip(const ChartOptions& o) {
@@ -277,27 +230,16 @@ Result<void> chart_clip(const ChartOptions& o) {
   PENUMBRA_ASSIGN(bench, ClipBench::make(o, clip, journals));
   std::vector<RatePoint> points;
   PENUMBRA_TRY(bench.run(output.work(), points));
-  std::string csv = "coder,setting,bytes,rendered_rel_rmse\n";
-  for (const RatePoint& p : points)
-    csv += fmt::format("{},{},{},{:.6g}\n", p.coder, p.setting, p.bytes, p.error);
-  PENUMBRA_TRY(write_bytes(output.file("rate-distortion.csv"), csv));
-  const std::string title = fmt::format(
-      "{} frames of {} texels, {} coefficients: {:.0f} MB as floats", o.frames, bench.texels(),
-      bench.coefficients(), static_cast<double>(bench.raw_bytes()) * 1e-6);
-  if (const auto plot = run_gnuplot(plot_of(points, title), output.file("rate-distortion.svg"));
-      !plot)
-    log_warning("the plot is not written: {}: {}", plot.error().where, plot.error().detail);
+  const RateNames names{fmt::format("{} frames of {} texels, {} coefficients: {:.0f} MB as floats",
+                                    o.frames, bench.texels(), bench.coefficients(),
+                                    static_cast<double>(bench.raw_bytes()) * 1e-6),
+                        "Rendered error: relative RMSE (per cent)", "rendered_rel_rmse"};
+  PENUMBRA_TRY(write_rates(output, points, names));
   if (o.merge == 0) remove_shards(journals);  // of this run's own folder
   PENUMBRA_TRY(output.keep());
   if (o.merge > 0) remove_shards(journals);  // once what they were for is there
   if (o.json) {
-    nlohmann::json rows = nlohmann::json::array();
-    for (const RatePoint& p : points)
-      rows.push_back({{"coder", p.coder},
-                      {"setting", p.setting},
-                      {"bytes", p.bytes},
-                      {"rendered_rel_rmse", p.error}});
-    print_json({{"raw_bytes", bench.raw_bytes()}, {"rows", rows}});
+    print_json({{"raw_bytes", bench.raw_bytes()}, {"rows", to_json(points, names)}});
     return {};
   }
   for (const RatePoint& p : points)

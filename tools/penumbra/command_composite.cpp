@@ -24,7 +24,7 @@ namespace {
 struct CompositeOptions {
   std::string capture, scene, output, moves;
   int bands = 5;
-  std::string lights = "auto";
+  std::string lights = "auto", light = "auto";
   double max_shadow_error = kDefaultMaxShadowError;
   bool json = false, stills = true, video = true, coarse = false;
 };
@@ -68,7 +68,8 @@ Result<void> composite(const CompositeOptions& o) {
     return fail(ErrorCode::kInvalid, "--bands", fmt::format("{} is not within 1..9", o.bands));
   PENUMBRA_ASSIGN(lights, choose_max_lights(o.lights));
   PENUMBRA_TRY(check_max_shadow_error(o.max_shadow_error));
-  PENUMBRA_ASSIGN(source, capture::open_capture(o.capture));
+  PENUMBRA_ASSIGN(light, capture::recorded_light(o.light));
+  PENUMBRA_ASSIGN(source, capture::open_capture(o.capture, light));
   PENUMBRA_ASSIGN(scene, runtime::read_scene(o.scene));
   const auto& cameras = source->cameras();
   if (const auto usable = Pipeline::check(cameras); !usable)
@@ -136,6 +137,10 @@ void add_composite(CLI::App& parent, Action& action) {
                 "Places of objects over time, a CSV file with the columns "
                 "time_s,object,x_m,y_m,z_m,turn_deg");
   c->add_option("--bands", composite_options.bands, kMaxBandsHelp)->capture_default_str();
+  c->add_option("--light", composite_options.light,
+                "Where a recording's light is taken from: cameras, track (maps that were measured "
+                "while it was recorded), or auto: cameras where it has any")
+      ->capture_default_str();
   c->add_option("--max-lights", composite_options.lights, kMaxLightsHelp)->capture_default_str();
   c->add_option("--max-shadow-error", composite_options.max_shadow_error, kMaxShadowErrorHelp)
       ->capture_default_str();

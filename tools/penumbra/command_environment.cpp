@@ -67,7 +67,7 @@ Image<float> seen_pixels(const Environment& map) {
 
 Result<void> hdr_environment(const HdrEnvironmentOptions& o) {
   PENUMBRA_TRY(check_writable(o.output));
-  PENUMBRA_ASSIGN(source, capture::open_capture(o.capture));
+  PENUMBRA_ASSIGN(source, capture::open_capture(o.capture, capture::RecordedLight::kEither));
   StageTimes times;
   PENUMBRA_ASSIGN(stage,
                   runtime::LightEstimationStage::create(source->cameras(), {.bands = 3}, times));

@@ -52,7 +52,7 @@ json to_json(const capture::CameraInfo& c) {
 }
 
 Result<json> inspect_capture(const std::string& path, const char* kind) {
-  PENUMBRA_ASSIGN(source, capture::open_capture(path));
+  PENUMBRA_ASSIGN(source, capture::open_capture(path, capture::RecordedLight::kBoth));
   json cameras = json::array();
   for (const capture::CameraInfo& c : source->cameras()) {
     json& camera = cameras.emplace_back(to_json(c));

@@ -5,6 +5,7 @@
 #include "capture/frames.h"
 #include "core/io/files.h"
 #include "core/threads/stop_signal.h"
+#include "runtime/pipeline/light_track.h"
 #include "runtime/pipeline/report.h"
 #include "service/recording/recorder.h"
 #include "service/rig_config.h"
@@ -19,7 +20,8 @@ namespace penumbra::tools {
 namespace {
 
 struct RecordOptions {
-  std::string config, output;
+  std::string config, output, light = "cameras";
+  int light_rows = runtime::kLightTrackRows;
   double seconds = 0;  // 0 = until stopped
   int frames = 0;      // of all cameras; 0 = any
   bool json = false;
@@ -66,6 +68,7 @@ Result<void> record(const RecordOptions& o) {
   if (o.frames < 0) return fail(ErrorCode::kInvalid, "--frames", "is negative");
   if (std::filesystem::path(o.output).extension() != ".mkv")
     return fail(ErrorCode::kInvalid, o.output, "does not end in .mkv, as a recording does");
+  PENUMBRA_ASSIGN(light, runtime::kept_light(o.light));
   PENUMBRA_ASSIGN(config, service::read_rig_config(o.config, false));
   std::error_code ignored;
   if (std::filesystem::exists(o.output, ignored))
@@ -73,7 +76,12 @@ Result<void> record(const RecordOptions& o) {
                 "exists already: remove it, or choose another name");
   PENUMBRA_TRY(check_writable(o.output));
   PENUMBRA_ASSIGN(rig, service::open_rig(config, progress_bar));
-  capture::FrameSource& source = *rig.source;
+  std::unique_ptr<capture::FrameSource> tracked;
+  if (light != runtime::KeptLight::kCameras) {
+    PENUMBRA_ASSIGN(made, runtime::with_light_track(*rig.source, light, o.light_rows));
+    tracked = std::move(made);
+  }
+  capture::FrameSource& source = tracked ? *tracked : *rig.source;
   const auto& cameras = source.cameras();
   const bool watched = isatty(STDERR_FILENO);
   const auto tell = [&](const service::RecordCounts& counts) {
@@ -104,6 +112,14 @@ void add_record(CLI::App& parent, Action& action) {
                 "Stop once the frames span this many seconds; 0: no limit");
   c->add_option("--frames", record_options.frames,
                 "Stop after this many frames of all cameras together; 0: no limit");
+  c->add_option("--light", record_options.light,
+                "What is kept of the light: cameras: the frames of the cameras that show the "
+                "surroundings; track: maps that are measured from them, a small part of the bytes; "
+                "both")
+      ->capture_default_str();
+  c->add_option("--light-rows", record_options.light_rows,
+                "Most rows of the track's maps, 16..1024; finer ones are averaged")
+      ->capture_default_str();
   add_json(c, record_options.json);
   c->callback([&] { action = [] { return record(record_options); }; });
 }

@@ -32,6 +32,10 @@ nlohmann::json summarise(const runtime::RunCounts& counts, const StageTimes& tim
 
 namespace {
 
+std::string from_what(int exposures) {
+  return exposures > 0 ? counted(exposures, "exposure") : "light of a track";
+}
+
 void print_plan(const nlohmann::json& p) {
   const auto error = [&](const char* key) {
     return p[key].is_null() ? std::string("unknown") : fmt::format("{:.3f}", p[key].get<double>());
@@ -58,9 +62,8 @@ void print_summary(const nlohmann::json& s) {
       s["dropped"]["environment"].get<int>(), 100 * s["touched_fraction"].get<double>());
   fmt::print("{}, {}, at most {}, {}, {:.0f} % of the sphere seen, {}\n",
              counted(c["objects"].get<int>(), "object"), counted(c["bands"].get<int>(), "band"),
-             counted(c["lights"].get<int>(), "light"),
-             counted(c["exposures"].get<int>(), "exposure"), 100 * c["coverage"].get<double>(),
-             c["renderer"].get<std::string>());
+             counted(c["lights"].get<int>(), "light"), from_what(c["exposures"].get<int>()),
+             100 * c["coverage"].get<double>(), c["renderer"].get<std::string>());
   if (const auto& p = c["plan"]; !p.is_null()) print_plan(p);
   fmt::print("{:<16} {:>8} {:>10} {:>10}\n", "stage", "count", "p50 ms", "p99 ms");
   for (const auto& [name, stage] : s["stages"].items())

@@ -133,7 +133,7 @@ class BracketedCamera {
   Result<std::optional<Frame>> next(Seconds timeout);
   /// These from now on; none: those that it was made with. Frames that may still show another
   /// exposure than their label says are left out.
-  void set_exposures(std::vector<Exposure> exposures);
+  void set_exposures(const std::vector<Exposure>& exposures);
   /// Whether it can; else the camera stands as somebody has set it.
   /// threads: thread-safe
   bool sets_exposures() const { return !configured_.empty() || light_error_; }

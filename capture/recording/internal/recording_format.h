@@ -13,6 +13,11 @@ namespace penumbra::capture {
 inline constexpr std::string_view kCamerasAttachment = "cameras.toml";
 inline constexpr std::string_view kResponseSuffix = ".response.toml";
 
+// Of cameras.toml, where a light track stands beside the cameras: its name and size.
+inline constexpr std::string_view kLightTrack = "light_track";
+inline std::string seen_title(const std::string& track) {
+  return track + ": seen";
+}
 inline std::string label_title(const std::string& camera) {  // of the track
   return camera + ": labels";
 }

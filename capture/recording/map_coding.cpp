@@ -1,0 +1,399 @@
+#include "capture/recording/internal/map_coding.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <charconv>
+#include <cmath>
+#include <glm/vec3.hpp>
+
+#include "capture/recording/internal/recording_format.h"
+#include "codec/log_luv.h"
+#include "core/conventions.h"
+
+extern "C" {
+#include <libavutil/opt.h>
+}
+
+namespace penumbra::capture {
+
+namespace {
+
+constexpr AVPixelFormat kLightFormat = AV_PIX_FMT_YUV444P12LE;
+// What a pixel of the second picture says: how well it was seen, or that it is a lower bound.
+constexpr int kSeenWell = 254, kClipped = 255;
+
+// A map in, a packet out: nothing waits inside. Coarse steps keep the light, as its errors in many
+// pixels cancel, and key maps have finer ones, as all up to the next keep their errors
+// (docs/methods/recordings.md). MD5 sums of each picture tell of damage.
+std::string x265_options() {
+  constexpr int kQuantiser = 19;
+  constexpr double kFinerKeys = 2.8;
+  return fmt::format(
+      "qp={}:ipratio={}:keyint={}:min-keyint={}:scenecut=0:bframes=0:rc-lookahead=0:"
+      "frame-threads=1:pools=none:ref=1:open-gop=0:aq-mode=0:cutree=0:psy-rd=0:psy-rdoq=0:sao=0:"
+      "hash=1:log-level=none",
+      kQuantiser, kFinerKeys, kMapsToKey, kMapsToKey);
+}
+
+Result<AvCodec> open_coder(const AVCodec* codec, const char* name, int width, int height,
+                           AVPixelFormat format, bool global_header, AVDictionary* options) {
+  AvCodec out(codec ? avcodec_alloc_context3(codec) : nullptr);
+  int r = AVERROR_ENCODER_NOT_FOUND;
+  if (out) {
+    out->width = width, out->height = height;
+    out->pix_fmt = format;
+    out->time_base = {1, 1000};
+    out->thread_count = 1;
+    if (global_header) out->flags |= AV_CODEC_FLAG_GLOBAL_HEADER;
+    r = avcodec_open2(out.get(), codec, &options);
+  }
+  av_dict_free(&options);
+  if (r < 0)
+    return fail(ErrorCode::kUnavailable, "light",
+                fmt::format("cannot be coded: FFmpeg's {} says {}", name, av_reason(r)));
+  return out;
+}
+
+Result<AvPicture> make_picture(const AVCodecContext& of) {
+  AvPicture out(av_frame_alloc());
+  out->format = of.pix_fmt;
+  out->width = of.width, out->height = of.height;
+  if (const int r = av_frame_get_buffer(out.get(), 0); r < 0)
+    return fail(ErrorCode::kUnavailable, "light", av_reason(r));
+  return out;
+}
+
+float sum_of(const Rgb& p) {
+  const float sum = p.r + p.g + p.b;
+  return std::isfinite(sum) && sum > 0 ? sum : 0;
+}
+
+std::span<std::uint16_t> codes(const AVFrame& picture, int plane, int y) {
+  return {reinterpret_cast<std::uint16_t*>(picture.data[plane] + y * picture.linesize[plane]),
+          static_cast<std::size_t>(picture.width)};
+}
+std::span<std::uint8_t> levels(const AVFrame& picture, int y) {
+  return {picture.data[0] + y * picture.linesize[0], static_cast<std::size_t>(picture.width)};
+}
+
+void fill_seen(const Environment& map, const AVFrame& out) {
+  const int width = out.width;
+  for (int y = 0; y < out.height; ++y) {
+    const auto row = levels(out, y);
+    std::ranges::fill(row, std::uint8_t{kSeenWell});
+    if (map.confidence.empty()) continue;
+    const auto seen = map.confidence.row(y);
+    for (std::size_t x = 0; x < row.size(); ++x)
+      row[x] = static_cast<std::uint8_t>(
+          seen[x] > 0 ? std::clamp(std::lround(seen[x] * kSeenWell), 1L, long{kSeenWell}) : 0);
+  }
+  for (const std::uint32_t i : map.clipped) {
+    const auto w = static_cast<std::uint32_t>(width);
+    levels(out, static_cast<int>(i / w))[i % w] = kClipped;
+  }
+}
+
+Result<void> encode(AVCodecContext& coder, AVFrame& picture, std::int64_t count, AVPacket& out) {
+  picture.pts = count;
+  int r = avcodec_send_frame(&coder, &picture);
+  if (r >= 0) r = avcodec_receive_packet(&coder, &out);
+  if (r < 0) return fail(ErrorCode::kUnavailable, "light", "cannot be coded: " + av_reason(r));
+  return {};
+}
+
+Result<AvCodec> open_decoder(const AVCodecParameters& of) {
+  const AVCodec* codec = avcodec_find_decoder(of.codec_id);
+  if (!codec)
+    return fail(ErrorCode::kUnavailable, "FFmpeg",
+                fmt::format("has no {} decoder", avcodec_get_name(of.codec_id)));
+  AvCodec out(avcodec_alloc_context3(codec));
+  int r = avcodec_parameters_to_context(out.get(), &of);
+  out->thread_count = 1;
+  out->flags |= AV_CODEC_FLAG_LOW_DELAY;
+  out->err_recognition = AV_EF_CRCCHECK | AV_EF_EXPLODE;
+  out->max_pixels = std::int64_t{of.width} * of.height + 64 * 64;  // nothing larger is allocated
+  if (r >= 0) r = avcodec_open2(out.get(), codec, nullptr);
+  if (r < 0) return fail(ErrorCode::kUnreadable, "light", av_reason(r));
+  return out;
+}
+
+struct FreeParameters {
+  void operator()(AVCodecParameters* p) const { avcodec_parameters_free(&p); }
+};
+Result<std::unique_ptr<AVCodecParameters, FreeParameters>> parameters_of(
+    const AVCodecContext& coder) {
+  std::unique_ptr<AVCodecParameters, FreeParameters> out(avcodec_parameters_alloc());
+  if (const int r = avcodec_parameters_from_context(out.get(), &coder); r < 0)
+    return fail(ErrorCode::kUnavailable, "light", av_reason(r));
+  return out;
+}
+
+Result<void> decode_into(AVCodecContext& coder, const AVPacket& packet, AVPixelFormat format,
+                         int width, int height, AVFrame& out) {
+  int r = avcodec_send_packet(&coder, &packet);
+  if (r >= 0) r = avcodec_receive_frame(&coder, &out);
+  if (r < 0) {
+    avcodec_flush_buffers(&coder);
+    return fail(ErrorCode::kUnreadable, "map", av_reason(r));
+  }
+  if (out.width != width || out.height != height || out.format != format)
+    return fail(ErrorCode::kUnreadable, "map", "has another size or other pixels than the first");
+  return {};
+}
+
+}  // namespace
+
+Result<void> check_map_size(int width, int height) {
+  constexpr int kMin = 16, kMax = 1024;
+  if (height >= kMin && height <= kMax && height % 2 == 0 && width == 2 * height) return {};
+  return fail(
+      ErrorCode::kInvalid, "light",
+      fmt::format("maps of {} x {} pixels are not lat-long of an even number of rows within "
+                  "{}..{}",
+                  width, height, kMin, kMax));
+}
+
+Result<MapEncoder> MapEncoder::create(int width, int height, bool global_header) {
+  PENUMBRA_TRY(check_map_size(width, height));
+  MapEncoder out;
+  AVDictionary* options = nullptr;
+  av_dict_set(&options, "preset", "superfast", 0);
+  av_dict_set(&options, "tune", "zerolatency", 0);
+  av_dict_set(&options, "x265-params", x265_options().c_str(), 0);
+  PENUMBRA_ASSIGN(light, open_coder(avcodec_find_encoder_by_name("libx265"), "libx265", width,
+                                    height, kLightFormat, global_header, options));
+  PENUMBRA_ASSIGN(seen, open_coder(avcodec_find_encoder(AV_CODEC_ID_FFV1), "FFV1", width, height,
+                                   AV_PIX_FMT_GRAY8, global_header, nullptr));
+  PENUMBRA_ASSIGN(light_picture, make_picture(*light));
+  PENUMBRA_ASSIGN(seen_picture, make_picture(*seen));
+  out.light_ = std::move(light), out.seen_ = std::move(seen);
+  out.light_picture_ = std::move(light_picture), out.seen_picture_ = std::move(seen_picture);
+  PENUMBRA_ASSIGN(parameters, parameters_of(*out.light_));
+  PENUMBRA_ASSIGN(decoder, open_decoder(*parameters));
+  out.decoder_ = std::move(decoder);
+  out.decoded_.reset(av_frame_alloc());
+  return out;
+}
+
+namespace {
+
+// All light of a map: the sum of its channels, over solid angle.
+double power_of(const Image<Rgb>& map) {
+  double out = 0;
+  for (int y = 0; y < map.height(); ++y) {
+    double row = 0;
+    for (const Rgb& p : map.row(y)) row += double(sum_of(p));
+    out += row * latlong_solid_angle(y, map.width(), map.height());
+  }
+  return out;
+}
+
+// Takes out what carries more than its part of all light: a coder's error in it would be one of the
+// light. What stands before it in its row takes its place.
+std::vector<MapLabel::Peak> take_peaks(Image<Rgb>& map, double total_sr) {
+  constexpr double kLargestPart = 1. / 400;
+  std::vector<MapLabel::Peak> out;
+  for (int y = 0; y < map.height(); ++y) {
+    const double solid = latlong_solid_angle(y, map.width(), map.height());
+    const auto row = map.row(y);
+    Rgb before;
+    for (std::size_t x = 0; x < row.size(); ++x) {
+      if (double(sum_of(row[x])) * solid <= kLargestPart * total_sr) {
+        before = row[x];
+        continue;
+      }
+      out.push_back(
+          {static_cast<std::uint32_t>(y * map.width()) + static_cast<std::uint32_t>(x), row[x]});
+      row[x] = before;
+    }
+  }
+  return out;
+}
+
+// What a coded picture loses or gains in all. Slow changes stay below a coder's steps and would be
+// missing in every pixel alike.
+Rgb gains_of(const Image<Rgb>& truth, const AVFrame& decoded, const AVFrame& seen) {
+  constexpr double kLargest = 1.25;  // more is no rounding, but a black map
+  glm::dvec3 wanted(0), got(0);
+  std::vector<Rgb> row(static_cast<std::size_t>(truth.width()));
+  for (int y = 0; y < truth.height(); ++y) {
+    codec::rgb_from_log_luv({codes(decoded, 0, y), codes(decoded, 1, y), codes(decoded, 2, y)},
+                            row);
+    const double solid = latlong_solid_angle(y, truth.width(), truth.height());
+    const auto mask = levels(seen, y);
+    glm::dvec3 wanted_row(0), got_row(0);
+    for (std::size_t x = 0; x < row.size(); ++x) {
+      if (mask[x] == 0) continue;
+      const Rgb& t = truth.row(y)[x];
+      if (!(sum_of(t) > 0)) continue;
+      wanted_row += glm::dvec3(t.r, t.g, t.b);
+      got_row += glm::dvec3(row[x].r, row[x].g, row[x].b);
+    }
+    wanted += wanted_row * solid, got += got_row * solid;
+  }
+  Rgb out{1, 1, 1};
+  for (int c = 0; c < 3; ++c)
+    if (const double gain = wanted[c] / got[c]; gain < kLargest && gain > 1 / kLargest)
+      out[c] = static_cast<float>(gain);
+  return out;
+}
+
+}  // namespace
+
+std::string print_map_label(const MapLabel& label) {
+  std::string out = fmt::format(";{:.6g} {:.6g} {:.6g}", label.gain.r, label.gain.g, label.gain.b);
+  for (const auto& [pixel, radiance] : label.peaks)
+    out += fmt::format(";{} {:.5g} {:.5g} {:.5g}", pixel, radiance.r, radiance.g, radiance.b);
+  return out;
+}
+
+namespace {
+
+// Numbers with a blank between, from `at` on; false unless that is all.
+bool read_colour(const char* at, const char* end, Rgb& out) {
+  for (int c = 0; c < 3; ++c) {
+    const auto read = std::from_chars(at, end, out[c]);
+    if (read.ec != std::errc{} || !std::isfinite(out[c]) || out[c] < 0) return false;
+    at = read.ptr;
+    if (c < 2 && (at == end || *at++ != ' ')) return false;
+  }
+  return at == end;
+}
+
+}  // namespace
+
+Result<MapLabel> parse_map_label(std::string_view text, double exposure) {
+  const auto damaged = [](std::string_view part) {
+    return fail(ErrorCode::kInvalid, std::string(part), "does not belong into a map's label");
+  };
+  const auto next = [&text] {
+    text.remove_prefix(std::min<std::size_t>(1, text.size()));
+    const std::string_view part = text.substr(0, text.find(';'));
+    text.remove_prefix(part.size());
+    return part;
+  };
+  MapLabel out;
+  out.exposure = exposure;
+  if (!(exposure > 0)) return damaged("exposure");
+  const std::string_view gain = next();
+  if (!read_colour(gain.data(), gain.data() + gain.size(), out.gain)) return damaged(gain);
+  while (!text.empty()) {
+    const std::string_view part = next();
+    const char* const end = part.data() + part.size();
+    MapLabel::Peak peak;
+    const auto number = std::from_chars(part.data(), end, peak.pixel);
+    if (number.ec != std::errc{} || number.ptr == end ||
+        !read_colour(number.ptr + 1, end, peak.radiance))
+      return damaged(part);
+    out.peaks.push_back(peak);
+  }
+  return out;
+}
+
+Result<MapLabel> MapEncoder::code(const Environment& map, AVPacket& light, AVPacket& seen) {
+  AVFrame& picture = *light_picture_;
+  if (map.radiance.width() != picture.width || map.radiance.height() != picture.height)
+    return fail(
+        ErrorCode::kInvalid, "light",
+        fmt::format("has a map of {} x {} pixels, after maps of {} x {}", map.radiance.width(),
+                    map.radiance.height(), picture.width, picture.height));
+  for (AVFrame* const p : {&picture, seen_picture_.get()})
+    if (const int r = av_frame_make_writable(p); r < 0)
+      return fail(ErrorCode::kUnavailable, "light", av_reason(r));
+  exposed_ = map.radiance;
+  MapLabel label{.peaks = take_peaks(exposed_, power_of(exposed_))};
+  const double mean = power_of(exposed_) / (4 * kPi) / 3;
+  // A change of all light, by clouds or the hour, is then none of the picture.
+  if (mean > 0 && std::isfinite(1 / mean)) label.exposure = 1 / mean;
+  for (Rgb& p : exposed_.pixels()) p = p * static_cast<float>(label.exposure);
+  for (int y = 0; y < picture.height; ++y)
+    codec::log_luv_from_rgb(exposed_.row(y),
+                            {codes(picture, 0, y), codes(picture, 1, y), codes(picture, 2, y)});
+  fill_seen(map, *seen_picture_);
+  const auto number = static_cast<std::int64_t>(coded_);
+  PENUMBRA_TRY(encode(*light_, picture, number, light));
+  PENUMBRA_TRY(encode(*seen_, *seen_picture_, number, seen));
+  PENUMBRA_TRY(
+      decode_into(*decoder_, light, kLightFormat, picture.width, picture.height, *decoded_));
+  label.gain = gains_of(exposed_, *decoded_, *seen_picture_);
+  ++coded_;
+  return label;
+}
+
+namespace {
+
+void read_seen(const AVFrame& mask, Environment& out) {
+  const int width = mask.width, height = mask.height;
+  bool whole = true;
+  double clipped_sr = 0;
+  out.confidence.reset(width, height, 1);
+  for (int y = 0; y < height; ++y) {
+    const auto from = levels(mask, y);
+    const auto to = out.confidence.row(y);
+    for (std::size_t x = 0; x < from.size(); ++x) {
+      if (from[x] == kClipped) {
+        out.clipped.push_back(static_cast<std::uint32_t>(y * width) +
+                              static_cast<std::uint32_t>(x));
+        clipped_sr += latlong_solid_angle(y, width, height);
+      } else if (from[x] != kSeenWell) {
+        to[x] = static_cast<float>(from[x]) / kSeenWell;
+        whole = false;
+      }
+    }
+  }
+  out.clipped_fraction = clipped_sr / (4 * kPi);
+  if (whole) out.confidence = {};
+}
+
+}  // namespace
+
+Result<MapDecoder> MapDecoder::open(const AVCodecParameters& light, const AVCodecParameters& seen) {
+  if (light.codec_id != AV_CODEC_ID_HEVC || seen.codec_id != AV_CODEC_ID_FFV1)
+    return fail(ErrorCode::kInvalid, "light",
+                fmt::format("is coded as {} and {} instead of hevc and ffv1",
+                            avcodec_get_name(light.codec_id), avcodec_get_name(seen.codec_id)));
+  PENUMBRA_TRY(check_map_size(light.width, light.height));
+  MapDecoder out;
+  out.width_ = light.width, out.height_ = light.height;
+  PENUMBRA_ASSIGN(light_decoder, open_decoder(light));
+  PENUMBRA_ASSIGN(seen_decoder, open_decoder(seen));
+  out.light_ = std::move(light_decoder), out.seen_ = std::move(seen_decoder);
+  out.picture_.reset(av_frame_alloc());
+  out.mask_.reset(av_frame_alloc());
+  return out;
+}
+
+Result<Environment> MapDecoder::decode(const AVPacket& light, const AVPacket& seen,
+                                       const MapLabel& label) {
+  PENUMBRA_TRY(decode_into(*light_, light, kLightFormat, width_, height_, *picture_));
+  PENUMBRA_TRY(decode_into(*seen_, seen, AV_PIX_FMT_GRAY8, width_, height_, *mask_));
+  Environment out;
+  out.radiance.reset(width_, height_);
+  read_seen(*mask_, out);
+  // What is left of black by the coder's errors.
+  const auto black = static_cast<float>(3 * .02 * double(codec::kLogLuvToe) / label.exposure);
+  double black_sr = 0;
+  const Rgb scale = label.gain * static_cast<float>(1 / label.exposure);
+  for (int y = 0; y < height_; ++y) {
+    const auto row = out.radiance.row(y);
+    codec::rgb_from_log_luv(
+        {codes(*picture_, 0, y), codes(*picture_, 1, y), codes(*picture_, 2, y)}, row);
+    for (Rgb& p : row) p = p * scale;
+    const auto mask = levels(*mask_, y);
+    for (std::size_t x = 0; x < row.size(); ++x)
+      if (mask[x] == 0)
+        row[x] = {};
+      else if (sum_of(row[x]) <= black)
+        black_sr += latlong_solid_angle(y, width_, height_);
+  }
+  out.black_fraction = black_sr / (4 * kPi);
+  for (const auto& [pixel, radiance] : label.peaks) {
+    if (pixel >= out.radiance.area())
+      return fail(ErrorCode::kUnreadable, "map", "has a bright pixel outside");
+    out.radiance.pixels()[pixel] = radiance;
+  }
+  return out;
+}
+
+}  // namespace penumbra::capture

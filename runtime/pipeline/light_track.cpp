@@ -1,0 +1,160 @@
+#include "runtime/pipeline/light_track.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <optional>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "capture/camera_regions.h"
+#include "core/conventions.h"
+#include "core/threads/stage_times.h"
+#include "runtime/pipeline/light_estimation_stage.h"
+
+namespace penumbra::runtime {
+
+namespace {
+
+constexpr std::string_view kTrackName = "light";
+
+// Four pixels to one, by their solid angles; what was not seen does not count.
+Environment halved(const Environment& map) {
+  const int width = map.radiance.width() / 2, height = map.radiance.height() / 2;
+  Environment out;
+  out.radiance.reset(width, height);
+  if (!map.confidence.empty()) out.confidence.reset(width, height);
+  out.time = map.time;
+  out.clipped_fraction = map.clipped_fraction;
+  out.black_fraction = map.black_fraction;
+  for (int y = 0; y < height; ++y)
+    for (int x = 0; x < width; ++x) {
+      Rgb sum;
+      float weight = 0, solid = 0;
+      for (int k = 0; k < 4; ++k) {
+        const int i = 2 * x + k % 2, j = 2 * y + k / 2;
+        const auto sr = static_cast<float>(latlong_solid_angle(j, 2 * width, 2 * height));
+        const float w = map.confidence.empty() ? sr : sr * map.confidence.at(i, j);
+        sum += map.radiance.at(i, j) * w;
+        weight += w, solid += sr;
+      }
+      if (weight > 0) out.radiance.at(x, y) = sum * (1 / weight);
+      if (!map.confidence.empty()) out.confidence.at(x, y) = weight / solid;
+    }
+  for (const std::uint32_t pixel : map.clipped) {
+    const auto w = static_cast<std::uint32_t>(map.radiance.width());
+    out.clipped.push_back(pixel / w / 2 * static_cast<std::uint32_t>(width) + pixel % w / 2);
+  }
+  std::ranges::sort(out.clipped);
+  const auto doubles = std::ranges::unique(out.clipped);
+  out.clipped.erase(doubles.begin(), doubles.end());
+  return out;
+}
+
+class LightTrackSource final : public capture::FrameSource {
+ public:
+  LightTrackSource(capture::FrameSource& source, std::unique_ptr<StageTimes> times,
+                   LightEstimationStage stage, KeptLight keep, int max_rows);
+
+  const std::vector<capture::CameraInfo>& cameras() const override { return cameras_; }
+  double view_rate() const override { return source_.view_rate(); }
+  bool is_live() const override { return source_.is_live(); }
+  void close() override { source_.close(); }
+  std::vector<capture::CameraCounts> counts() const override;
+  Result<std::optional<capture::Frame>> next() override;
+
+ private:
+  Result<void> measure(const capture::Frame& frame);
+
+  capture::FrameSource& source_;
+  std::unique_ptr<StageTimes> times_;  // the stage's, which nobody reads
+  LightEstimationStage stage_;
+  std::vector<capture::CameraInfo> cameras_;
+  std::vector<std::optional<int>> kept_;  // by the source's cameras: their numbers here
+  int halvings_ = 0;
+  std::uint64_t maps_ = 0;
+  std::optional<capture::Frame> map_;  // comes next
+};
+
+LightTrackSource::LightTrackSource(capture::FrameSource& source, std::unique_ptr<StageTimes> times,
+                                   LightEstimationStage stage, KeptLight keep, int max_rows)
+    : source_(source), times_(std::move(times)), stage_(std::move(stage)) {
+  for (const capture::CameraInfo& c : source.cameras()) {
+    const bool kept = keep == KeptLight::kBoth || c.role == capture::Role::kView;
+    kept_.push_back(kept ? std::optional(static_cast<int>(cameras_.size())) : std::nullopt);
+    if (kept) cameras_.push_back(c);
+  }
+  int rows = stage_.rows();
+  for (; rows > max_rows && rows % 4 == 0; rows /= 2) ++halvings_;
+  capture::CameraInfo& track = cameras_.emplace_back();
+  track.name = kTrackName;
+  track.gives_maps = true;
+  track.projection = {.kind = calib::ProjectionKind::kLatLong, .width = 2 * rows, .height = rows};
+  track.response = calib::Response::linear();
+}
+
+std::vector<capture::CameraCounts> LightTrackSource::counts() const {
+  const auto all = source_.counts();
+  if (all.empty()) return {};
+  std::vector<capture::CameraCounts> out;
+  for (std::size_t i = 0; i < all.size() && i < kept_.size(); ++i)
+    if (kept_[i]) out.push_back(all[i]);
+  out.emplace_back().frames = maps_;
+  return out;
+}
+
+Result<void> LightTrackSource::measure(const capture::Frame& frame) {
+  const auto assembled = stage_.assemble(frame);
+  if (!assembled && assembled.error().code == ErrorCode::kUndetermined) return {};
+  PENUMBRA_TRY(assembled);
+  if (!stage_.ready()) return {};
+  Environment map = stage_.environment();
+  for (int i = 0; i < halvings_; ++i) map = halved(map);
+  map.time = frame.time;
+  capture::Frame& out = map_.emplace();
+  out.camera = static_cast<int>(cameras_.size()) - 1;
+  out.sequence = maps_++;
+  out.time = frame.time;
+  out.exposure = {Seconds(1), Gain(1)};
+  out.map = std::make_shared<const Environment>(std::move(map));
+  return {};
+}
+
+Result<std::optional<capture::Frame>> LightTrackSource::next() {
+  for (;;) {
+    if (map_) return std::exchange(map_, std::nullopt);
+    PENUMBRA_ASSIGN(frame, source_.next());
+    if (!frame) return frame;
+    if (!frame->for_light && stage_.takes(frame->camera)) PENUMBRA_TRY(measure(*frame));
+    const auto& kept = kept_[static_cast<std::size_t>(frame->camera)];
+    if (!kept) continue;
+    frame->camera = *kept;
+    return frame;
+  }
+}
+
+}  // namespace
+
+Result<KeptLight> kept_light(std::string_view name) {
+  if (name == "cameras") return KeptLight::kCameras;
+  if (name == "track") return KeptLight::kTrack;
+  if (name == "both") return KeptLight::kBoth;
+  return fail(ErrorCode::kInvalid, std::string(name), "is none of cameras, track and both");
+}
+
+Result<std::unique_ptr<capture::FrameSource>> with_light_track(capture::FrameSource& source,
+                                                               KeptLight keep, int max_rows) {
+  constexpr int kMin = 16, kMax = 1024;
+  if (max_rows < kMin || max_rows > kMax)
+    return fail(ErrorCode::kInvalid, "rows of the light track",
+                fmt::format("are not within {}..{}", kMin, kMax));
+  auto times = std::make_unique<StageTimes>();
+  PENUMBRA_ASSIGN(stage, LightEstimationStage::create(source.cameras(), {}, *times));
+  // A ball that comes nearer must not make the maps larger.
+  stage.fix_rows(stage.rows() > kMin ? stage.rows() : kLightTrackRows);
+  return std::make_unique<LightTrackSource>(source, std::move(times), std::move(stage), keep,
+                                            max_rows);
+}
+
+}  // namespace penumbra::runtime

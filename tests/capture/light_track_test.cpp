@@ -1,0 +1,310 @@
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <fstream>
+#include <random>
+
+#include "calib/calib.h"
+#include "capture/capture.h"
+#include "core/conventions.h"
+#include "tests/support/irradiance.h"
+#include "tests/support/temp_folder.h"
+
+namespace penumbra::capture {
+namespace {
+
+namespace fs = std::filesystem;
+using testing::HasSubstr;
+
+constexpr int kTrackRows = 64, kTrackMaps = 70;  // more than two from key to key
+
+CameraInfo light_track(int rows = kTrackRows) {
+  CameraInfo out;
+  out.name = "light";
+  out.gives_maps = true;
+  out.projection = *calib::make_projection(calib::ProjectionKind::kLatLong, 2 * rows, rows);
+  out.response = calib::Response::linear();
+  return out;
+}
+
+// As cameras measure it: with noise, and where nothing looks, nothing.
+Environment measured_map(const Image<Rgb>& truth, std::uint32_t seed) {
+  std::mt19937 random(seed);
+  std::normal_distribution<float> noise(1, .02f);
+  Environment out;
+  out.radiance = truth;
+  out.confidence = Image<float>(truth.width(), truth.height(), 1);
+  for (int y = 0; y < truth.height(); ++y)
+    for (int x = 0; x < truth.width(); ++x) {
+      Rgb& p = out.radiance.at(x, y);
+      for (int c = 0; c < 3; ++c) p[c] *= noise(random);
+      if (y < truth.height() * 7 / 8) continue;
+      out.confidence.at(x, y) = y < truth.height() * 15 / 16 ? .5f : 0;
+      if (out.confidence.at(x, y) == 0) p = {};
+    }
+  return out;
+}
+
+Frame map_frame(Environment map, std::uint64_t number, int camera = 0) {
+  Frame out{.camera = camera,
+            .sequence = number,
+            .time = TimestampNs{1'700'000'000'000'000'000} + Seconds(.1 * double(number)),
+            .exposure = {Seconds(1), Gain(1)},
+            .world_from_camera = {},
+            .pixels = {}};
+  map.time = out.time;
+  out.map = std::make_shared<const Environment>(std::move(map));
+  return out;
+}
+
+std::vector<Frame> track_of(const Image<Rgb>& truth, int count = kTrackMaps) {
+  std::vector<Frame> out;
+  for (int i = 0; i < count; ++i)
+    out.push_back(map_frame(measured_map(truth, static_cast<std::uint32_t>(i)),
+                            static_cast<std::uint64_t>(i)));
+  return out;
+}
+
+class LightTrack : public testing::Test {
+ protected:
+  void write(const std::vector<Frame>& frames, std::vector<CameraInfo> cameras,
+             const std::vector<Coding>& codings) {
+    auto writer = RecordingWriter::create(path(), std::move(cameras), codings, 10);
+    ASSERT_TRUE(writer) << writer.error().where << " " << writer.error().detail;
+    const std::uint64_t head = writer->bytes();
+    for (const Frame& f : frames) {
+      const auto written = writer->write(f);
+      ASSERT_TRUE(written) << written.error().where << " " << written.error().detail;
+    }
+    bytes_per_map_ = double(writer->bytes() - head) / double(frames.size());
+    ASSERT_TRUE(writer->finish());
+  }
+  void write(const std::vector<Frame>& maps, int rows = kTrackRows) {
+    write(maps, {light_track(rows)}, {Coding::kMap});
+  }
+  std::vector<Frame> read(int* damaged = nullptr) {
+    std::vector<Frame> out;
+    auto source = open_recording(path(), RecordedLight::kTrack);
+    if (!source) ADD_FAILURE() << source.error().where << " " << source.error().detail;
+    while (source) {
+      auto next = (*source)->next();
+      if (!next && damaged)
+        ++*damaged;
+      else if (!next)
+        ADD_FAILURE() << next.error().where << " " << next.error().detail;
+      else if (!*next)
+        break;
+      else
+        out.push_back(std::move(**next));
+      if (!next && !damaged) break;
+    }
+    return out;
+  }
+  fs::path path() const { return folder_.path() / "light.mkv"; }
+
+  test::TempFolder folder_;
+  double bytes_per_map_ = 0;
+};
+
+// A coder's own error in a sun of a few pixels would be one of all light: they are kept apart. With
+// them in the picture the sky's irradiance is off by several percent.
+TEST_F(LightTrack, LightComesBackInAHundredthOfTheBytes) {
+  for (const bool sky : {false, true}) {
+    const Image<Rgb> truth = sky ? make_sky_environment(2 * kTrackRows, kTrackRows, .6)
+                                 : make_room_environment(2 * kTrackRows, kTrackRows);
+    const auto maps = track_of(truth);
+    fs::remove(path());
+    write(maps);
+    constexpr double kFloats = 12. * 2 * kTrackRows * kTrackRows;
+    EXPECT_LT(bytes_per_map_, kFloats / 100) << sky;
+    const auto back = read();
+    ASSERT_EQ(back.size(), maps.size()) << sky;
+    double worst = 0;
+    for (std::size_t i = 0; i < maps.size(); i += 7)
+      worst = std::max(worst, test::irradiance_error(back[i].map->radiance, maps[i].map->radiance));
+    EXPECT_LT(worst, .01) << sky;
+    RecordProperty(sky ? "sky_error" : "room_error", std::to_string(worst));
+    RecordProperty(sky ? "sky_bytes" : "room_bytes", std::to_string(bytes_per_map_));
+  }
+}
+
+TEST_F(LightTrack, WhatWasSeenAndWhatIsALowerBoundComesBackExactly) {
+  auto maps = track_of(make_room_environment(2 * kTrackRows, kTrackRows), 3);
+  Environment clipped = *maps[1].map;
+  clipped.clipped = {5, 700, 701};
+  maps[1] = map_frame(clipped, 1);
+  Environment whole = *maps[2].map;
+  whole.confidence = {};
+  maps[2] = map_frame(whole, 2);
+  write(maps);
+  const auto back = read();
+  ASSERT_EQ(back.size(), maps.size());
+  for (std::size_t i = 0; i < back.size(); ++i) {
+    EXPECT_FALSE(back[i].pixels) << i;
+    EXPECT_EQ(back[i].time, maps[i].time) << i;
+    EXPECT_EQ(back[i].map->time, maps[i].time) << i;
+    EXPECT_EQ(back[i].map->clipped, maps[i].map->clipped) << i;
+  }
+  EXPECT_TRUE(back[2].map->confidence.empty());
+  const Image<float>& seen = back[0].map->confidence;
+  for (std::size_t i = 0; i < seen.area(); ++i)
+    EXPECT_NEAR(seen.pixels()[i], maps[0].map->confidence.pixels()[i], 1. / 254) << i;
+  for (int x = 0; x < 2 * kTrackRows; ++x)
+    EXPECT_EQ(back[0].map->radiance.at(x, kTrackRows - 1), Rgb{});
+  const double solid = latlong_solid_angle(0, 2 * kTrackRows, kTrackRows) +
+                       2 * latlong_solid_angle(700 / (2 * kTrackRows), 2 * kTrackRows, kTrackRows);
+  EXPECT_NEAR(back[1].map->clipped_fraction, solid / (4 * kPi), 1e-9);
+}
+
+// The scale follows the light, from the day into the night and back.
+TEST_F(LightTrack, ADarkNightIsKeptAsWellAsADay) {
+  const Image<Rgb> room = make_room_environment(2 * kTrackRows, kTrackRows);
+  std::vector<Frame> maps;
+  constexpr int kMaps = 120;
+  for (int i = 0; i < kMaps; ++i) {
+    Environment map = measured_map(room, static_cast<std::uint32_t>(i));
+    const float stops = -12 * std::sin(float(kPi) * static_cast<float>(i) / kMaps);
+    for (Rgb& p : map.radiance.pixels()) p = p * std::exp2(stops);
+    maps.push_back(map_frame(std::move(map), static_cast<std::uint64_t>(i)));
+  }
+  write(maps);
+  const auto back = read();
+  ASSERT_EQ(back.size(), maps.size());
+  for (std::size_t i = 0; i < maps.size(); i += 9)
+    EXPECT_LT(test::irradiance_error(back[i].map->radiance, maps[i].map->radiance), .015) << i;
+}
+
+TEST_F(LightTrack, BlackMapsAndNoNumbersAreKept) {
+  Environment black;
+  black.radiance = Image<Rgb>(2 * kTrackRows, kTrackRows);
+  Environment bad = black;
+  bad.radiance.at(3, 3) = {NAN, INFINITY, -1};
+  write({map_frame(black, 0), map_frame(bad, 1), map_frame(black, 2)});
+  const auto back = read();
+  ASSERT_EQ(back.size(), 3u);
+  for (const Frame& f : back)
+    for (const Rgb& p : f.map->radiance.pixels())
+      for (int c = 0; c < 3; ++c) {
+        EXPECT_TRUE(std::isfinite(p[c]));
+        EXPECT_GE(p[c], 0);
+      }
+  EXPECT_NEAR(back[0].map->black_fraction, 1, 1e-6);
+}
+
+// What a killed writer left ends with the last whole map.
+TEST_F(LightTrack, CutAnywhereItEndsEarlier) {
+  const auto maps = track_of(make_room_environment(2 * kTrackRows, kTrackRows));
+  write(maps);
+  const auto size = fs::file_size(path());
+  std::size_t before = maps.size();
+  for (int k = 19; k > 10; --k) {
+    fs::resize_file(path(), size * static_cast<std::uintmax_t>(k) / 20);
+    const auto back = read();
+    EXPECT_LE(back.size(), before);
+    before = back.size();
+    for (std::size_t i = 0; i < back.size(); ++i) EXPECT_EQ(back[i].time, maps[i].time);
+  }
+  EXPECT_LT(before, maps.size());
+  EXPECT_GT(before, 0u);
+}
+
+// A map that builds on a damaged one would be wrong without a word: nothing comes until the next
+// key, and every map that comes is right.
+TEST_F(LightTrack, DamageCostsMapsUpToTheNextKey) {
+  const Image<Rgb> truth = make_room_environment(2 * kTrackRows, kTrackRows);
+  const auto maps = track_of(truth);
+  write(maps);
+  std::string whole(fs::file_size(path()), '\0');
+  std::ifstream(path(), std::ios::binary)
+      .read(whole.data(), static_cast<std::streamsize>(whole.size()));
+  std::mt19937 random(4);
+  std::size_t lost = 0;
+  for (int turn = 0; turn < 6; ++turn) {
+    std::string bad = whole;
+    for (int k = 0; k < 40; ++k)  // somewhere behind the head: a few packets
+      bad[bad.size() / 8 + (random() % (bad.size() / 16)) +
+          static_cast<std::size_t>(turn) * bad.size() / 10] ^= 0x5a;
+    std::ofstream(path(), std::ios::binary | std::ios::trunc) << bad;
+    int damaged = 0;
+    const auto back = read(&damaged);
+    EXPECT_LE(back.size(), maps.size());
+    lost += maps.size() - back.size();
+    for (const Frame& f : back) {
+      const auto n = static_cast<std::size_t>(std::lround((f.time - maps[0].time).count() / .1));
+      ASSERT_LT(n, maps.size());
+      EXPECT_LT(test::irradiance_error(f.map->radiance, maps[n].map->radiance), .02)
+          << turn << " " << n;
+    }
+  }
+  EXPECT_GT(lost, 6u);
+}
+
+TEST_F(LightTrack, AReplayTakesWhatIsAskedFor) {
+  CameraInfo view;
+  view.name = "view";
+  view.role = Role::kView;
+  view.projection = *calib::make_projection(calib::ProjectionKind::kPinhole, 32, 16);
+  view.response = calib::Response::srgb();
+  view.ball = Ball{Ball::OutlinePixels{{16, 8}, 4}, {0, 0, 0}, 0};
+  CameraInfo fisheye = view;
+  fisheye.name = "fisheye";
+  fisheye.role = Role::kEnvironment;
+  fisheye.ball.reset();
+  fisheye.projection = *calib::make_projection(calib::ProjectionKind::kEquidistant, 32, 32);
+  const auto picture = [](int camera, int w, int h, double s) {
+    return Frame{camera,
+                 0,
+                 TimestampNs{0} + Seconds(s),
+                 {Seconds(.01), Gain(1)},
+                 {},
+                 std::make_shared<const FramePixels>(Image<Rgb8>(w, h, Rgb8{9, 9, 9}))};
+  };
+  Frame map = map_frame(measured_map(make_room_environment(2 * kTrackRows, kTrackRows), 1), 0, 2);
+  map.time = TimestampNs{0} + Seconds(.02);
+  write({picture(0, 32, 32, 0), picture(1, 32, 16, .01), map}, {fisheye, view, light_track()},
+        {Coding::kRgb8, Coding::kRgb8, Coding::kMap});
+  const auto names = [&](RecordedLight light) {
+    std::string out;
+    auto source = *open_capture(path(), light);
+    for (const CameraInfo& c : source->cameras()) out += c.name + (c.ball ? "* " : " ");
+    out += ":";
+    while (auto f = *source->next())
+      out += " " + source->cameras()[static_cast<std::size_t>(f->camera)].name;
+    return out;
+  };
+  EXPECT_EQ(names(RecordedLight::kCameras), "fisheye view* : fisheye view");
+  EXPECT_EQ(names(RecordedLight::kTrack), "view light : view light");
+  EXPECT_EQ(names(RecordedLight::kEither), "fisheye view* : fisheye view");
+  EXPECT_EQ(names(RecordedLight::kBoth), "fisheye view* light : fisheye view light");
+}
+
+TEST_F(LightTrack, RefusesWhatItCannotKeep) {
+  const std::vector coding{Coding::kMap};
+  for (const int rows : {8, 33, 1026}) {
+    const auto refused = RecordingWriter::create(path(), {light_track(rows)}, coding, 0);
+    ASSERT_FALSE(refused) << rows;
+    EXPECT_THAT(refused.error().detail, HasSubstr("16..1024")) << rows;
+    EXPECT_FALSE(fs::exists(path())) << rows;
+  }
+  auto writer = *RecordingWriter::create(path(), {light_track()}, coding, 0);
+  Environment small;
+  small.radiance = Image<Rgb>(kTrackRows, kTrackRows / 2);
+  ASSERT_TRUE(writer.write(
+      map_frame(measured_map(make_room_environment(2 * kTrackRows, kTrackRows), 1), 0)));
+  const auto refused = writer.write(map_frame(small, 1));
+  ASSERT_FALSE(refused);
+  EXPECT_THAT(refused.error().detail, HasSubstr("64x32"));
+  ASSERT_TRUE(writer.finish());
+  const auto pictures = open_recording(path());
+  ASSERT_FALSE(pictures);
+  EXPECT_THAT(pictures.error().detail, HasSubstr("light track alone"));
+  auto folder = *CaptureFolderWriter::create(folder_.path() / "folder", {light_track()});
+  const auto in_folder = folder.write(
+      map_frame(measured_map(make_room_environment(2 * kTrackRows, kTrackRows), 1), 0));
+  ASSERT_FALSE(in_folder);
+  EXPECT_THAT(in_folder.error().detail, HasSubstr("light track"));
+}
+
+}  // namespace
+}  // namespace penumbra::capture
