@@ -32,7 +32,7 @@ Result<std::shared_ptr<const ViewLens>> ViewLens::create(const calib::CameraMode
                             calib::projection_name(model.kind)));
   if (model.kind == calib::ProjectionKind::kPinhole && !model.is_distorted())
     return std::shared_ptr<const ViewLens>();
-  const std::shared_ptr<ViewLens> out(new ViewLens);
+  std::shared_ptr<ViewLens> out(new ViewLens);
   out->model_ = model;
   PENUMBRA_TRY(out->make_rays(where));
   out->make_radius();

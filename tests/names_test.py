@@ -77,7 +77,9 @@ TABLES = {
         "Lenses: `[[camera.lens]]`": [f"{CAMERA}.cpp: kLensKeys[]"],
         "Mirror balls: `[camera.ball]`": [f"{CAMERA}.cpp: kBallKeys[]"]},
     "recording.md": {
-        "cameras.toml": ["capture/recording/recording_reader.cpp: ::read_cameras( > known[]"]},
+        "cameras.toml": ["capture/recording/recording_reader.cpp: ::read_cameras( > known[]"],
+        "The table `[light_track]`": [
+            "capture/recording/recording_reader.cpp: ::read_light_track( > known[]"]},
     "calibration-files.md": {
         "Cameras": [f"{MANIFEST}: read_camera_file( > known[] - version camera + "
                     "tools/calibrate/command_calibrate.cpp: print_camera_file( > [calibration]"],
@@ -135,7 +137,9 @@ MENTIONED = {
         "chart": f"{SENSOR}: json to_json(const SensorSummary& + {SENSOR}: print_json( + "
                  'tools/chart/command_chart.cpp: print_json({{"needed_factor" + '
                  "tools/chart/command_chart_clip.cpp: rows.push_back( + "
-                 "tools/chart/command_chart_clip.cpp: print_json("},
+                 "tools/chart/command_chart_clip.cpp: print_json( + "
+                 "tools/chart/command_chart_light_track.cpp: rows.push_back( + "
+                 "tools/chart/command_chart_light_track.cpp: print_json("},
 }
 JSON_PAGES = ("http.md", "json.md")
 PARTS = {"kPlacementKeys"}  # lists of keys that stand in another list, too

@@ -1,5 +1,7 @@
 // Two 1280x720 cameras into one recording: how many times faster than their 60 frames a second.
+#include <array>
 #include <filesystem>
+#include <random>
 #include <thread>
 
 #include "bench/harness.h"
@@ -66,6 +68,57 @@ void record_two_cameras(benchmark::State& state) {
   state.counters["MB_per_second"] = mb * kRate / kFrames;
 }
 BENCHMARK(record_two_cameras)->Name("capture/record")->Apply(bench::one_and_two_threads);
+
+// Maps with the noise of cameras into a light track, a second of them; one thread.
+void record_light_track(benchmark::State& state) {
+  const auto rows = static_cast<int>(state.range(0));
+  capture::CameraInfo track;
+  track.name = "light";
+  track.gives_maps = true;
+  track.projection = *calib::make_projection(calib::ProjectionKind::kLatLong, 2 * rows, rows);
+  std::vector<capture::Frame> maps;
+  std::mt19937 random(1);
+  std::normal_distribution<float> noise(1, .02f);
+  for (std::uint64_t i = 0; i < 30; ++i) {
+    auto map = std::make_shared<Environment>();
+    map->radiance = capture::make_room_environment(2 * rows, rows);
+    for (Rgb& p : map->radiance.pixels()) p = p * noise(random);
+    capture::Frame frame{.camera = 0,
+                         .sequence = i,
+                         .time = TimestampNs{} + Seconds(static_cast<double>(i) / 30),
+                         .exposure = {Seconds(1), Gain(1)},
+                         .world_from_camera = {},
+                         .pixels = {}};
+    frame.map = std::move(map);
+    maps.push_back(std::move(frame));
+  }
+  const test::TempFolder folder;
+  const std::array codings{capture::Coding::kMap};
+  std::vector<double> ms;
+  double bytes = 0;
+  for (auto _ : state) {
+    const auto path = folder.path() / "a.mkv";
+    std::filesystem::remove(path);
+    auto writer = capture::RecordingWriter::create(path, {track}, codings, 0);
+    const auto head = writer->bytes();
+    ms.push_back(bench::time_ms([&] {
+      for (const capture::Frame& map : maps)
+        if (!writer->write(map)) state.SkipWithError("cannot be written");
+    }));
+    state.SetIterationTime(1e-3 * ms.back());
+    bytes = static_cast<double>(writer->bytes() - head);
+  }
+  state.counters["ms_a_map"] = bench::median(ms) / static_cast<double>(maps.size());
+  state.counters["bytes_a_map"] = bytes / static_cast<double>(maps.size());
+}
+BENCHMARK(record_light_track)
+    ->Name("capture/light_track")
+    ->ArgName("rows")
+    ->Arg(128)
+    ->Arg(256)
+    ->Arg(512)
+    ->UseManualTime()
+    ->Unit(benchmark::kMillisecond);
 
 }  // namespace
 }  // namespace penumbra

@@ -300,6 +300,20 @@ class Bake(CliTest):
             self.assertGreater(rows[0][1], rows[-1][1], coder)  # more bytes, less error
         self.assertTrue((out / "rate-distortion.csv").stat().st_size > 0)
 
+    def test_coders_of_a_light_track_are_charted(self):
+        out = self.root / "track"
+        files.write_sun_hdr(self.root / "sky.hdr", 64, 32, 400)
+        rows = self.run_json("chart", "--light-track", "--environment", self.root / "sky.hdr", "--out", out)["rows"]
+        ours = rows[0]
+        self.assertIn("ours", ours["coder"])
+        self.assertLess(ours["irradiance_rel_rmse"], .005)
+        self.assertLess(ours["bytes"], 256 * 128 * 3 * 4 / 200)
+        for row in rows[1:]:
+            if row["bytes"] < ours["bytes"] / 2:
+                self.assertGreater(row["irradiance_rel_rmse"], ours["irradiance_rel_rmse"], row)
+        self.assertEqual(len({row["coder"] for row in rows}), 6)
+        self.assertTrue((out / "rate-distortion.csv").stat().st_size > 0)
+
     def test_lights_are_charted(self):
         out = self.root / "lights"
         with_sun = self.run_json("chart", "--asset", "builtin:box", "--bands", 5, "--max-lights", 2, "--error", 0.03,

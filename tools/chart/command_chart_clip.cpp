@@ -233,13 +233,20 @@ Result<void> chart_clip(const ChartOptions& o) {
   const RateNames names{fmt::format("{} frames of {} texels, {} coefficients: {:.0f} MB as floats",
                                     o.frames, bench.texels(), bench.coefficients(),
                                     static_cast<double>(bench.raw_bytes()) * 1e-6),
-                        "Rendered error: relative RMSE (per cent)", "rendered_rel_rmse"};
+                        "Rendered error: relative RMSE (per cent)", "rendered_rel_rmse",
+                        "Megabytes", 1e6};
   PENUMBRA_TRY(write_rates(output, points, names));
   if (o.merge == 0) remove_shards(journals);  // of this run's own folder
   PENUMBRA_TRY(output.keep());
   if (o.merge > 0) remove_shards(journals);  // once what they were for is there
   if (o.json) {
-    print_json({{"raw_bytes", bench.raw_bytes()}, {"rows", to_json(points, names)}});
+    nlohmann::json rows = nlohmann::json::array();
+    for (const RatePoint& p : points)
+      rows.push_back({{"coder", p.coder},
+                      {"setting", p.setting},
+                      {"bytes", p.bytes},
+                      {"rendered_rel_rmse", p.error}});
+    print_json({{"raw_bytes", bench.raw_bytes()}, {"rows", rows}});
     return {};
   }
   for (const RatePoint& p : points)

@@ -127,11 +127,9 @@ Result<CodedLight> code_as_track(const FilmedLight& film, const std::filesystem:
   return out;
 }
 
-using Planes = std::vector<Image<float>>;
-
 // Channel by channel, as coders of one value a pixel take them.
-Planes channel_planes(std::span<const Image<Rgb>> maps, int channel) {
-  Planes out;
+std::vector<Image<float>> channel_planes(std::span<const Image<Rgb>> maps, int channel) {
+  std::vector<Image<float>> out;
   for (const Image<Rgb>& map : maps) {
     Image<float>& plane = out.emplace_back(map.width(), map.height());
     std::ranges::transform(map.pixels(), plane.pixels().begin(),
@@ -231,11 +229,17 @@ Result<void> chart_light_track(const ChartOptions& o) {
   const RateNames names{
       fmt::format("{} scenes, {} maps each of {} x {} pixels", environments.size(), kMapsCharted,
                   2 * runtime::kLightTrackRows, runtime::kLightTrackRows),
-      "Error of irradiance: relative RMSE (per cent)", "irradiance_rel_rmse"};
+      "Error of irradiance: relative RMSE (per cent)", "irradiance_rel_rmse", "Bytes a map", 1};
   PENUMBRA_TRY(write_rates(output, points, names));
   PENUMBRA_TRY(output.keep());
   if (o.json) {
-    print_json({{"environments", environments.size()}, {"rows", to_json(points, names)}});
+    nlohmann::json rows = nlohmann::json::array();
+    for (const RatePoint& p : points)
+      rows.push_back({{"coder", p.coder},
+                      {"setting", p.setting},
+                      {"bytes", p.bytes},
+                      {"irradiance_rel_rmse", p.error}});
+    print_json({{"environments", environments.size()}, {"rows", rows}});
     return {};
   }
   for (const RatePoint& p : points)

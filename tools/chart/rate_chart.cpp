@@ -16,9 +16,9 @@ namespace {
 std::string plot_of(const std::vector<RatePoint>& points, const RateNames& names) {
   std::string script =
       "set terminal svg size 900,640 font 'sans-serif,13' background 'white'\n"
-      "set logscale xy\nset grid\nset key top right\nset xlabel 'Megabytes'\n"
-      "\n";
-  script += fmt::format("set ylabel {}\nset title {}\nplot ", gnuplot_quoted(names.error_label),
+      "set logscale xy\nset grid\nset key top right\n";
+  script += fmt::format("set xlabel {}\nset ylabel {}\nset title {}\nplot ",
+                        gnuplot_quoted(names.bytes_label), gnuplot_quoted(names.error_label),
                         gnuplot_quoted(names.title));
   std::vector<std::string> coders;
   for (const RatePoint& p : points)
@@ -30,7 +30,8 @@ std::string plot_of(const std::vector<RatePoint>& points, const RateNames& names
   for (const std::string& coder : coders) {
     for (const RatePoint& p : points)
       if (p.coder == coder)
-        script += fmt::format("{} {}\n", static_cast<double>(p.bytes) * 1e-6, 100 * p.error);
+        script +=
+            fmt::format("{} {}\n", static_cast<double>(p.bytes) / names.bytes_unit, 100 * p.error);
     script += "e\n";
   }
   return script;
@@ -48,16 +49,6 @@ Result<void> write_rates(const OutputFolder& output, const std::vector<RatePoint
       !plot)
     log_warning("the plot is not written: {}: {}", plot.error().where, plot.error().detail);
   return {};
-}
-
-nlohmann::json to_json(const std::vector<RatePoint>& points, const RateNames& names) {
-  nlohmann::json rows = nlohmann::json::array();
-  for (const RatePoint& p : points)
-    rows.push_back({{"coder", p.coder},
-                    {"setting", p.setting},
-                    {"bytes", p.bytes},
-                    {names.error_column, p.error}});
-  return rows;
 }
 
 std::optional<double> bytes_at(const std::vector<RatePoint>& points, const std::string& coder,

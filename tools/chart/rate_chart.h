@@ -3,7 +3,6 @@
 #pragma once
 
 #include <cstddef>
-#include <nlohmann/json.hpp>
 #include <optional>
 #include <string>
 #include <vector>
@@ -23,14 +22,14 @@ struct RatePoint {
 struct RateNames {
   std::string title, error_label;  // of the plot
   std::string error_column;        // of the table
+  std::string bytes_label;         // of the plot
+  double bytes_unit = 1;           // in bytes
 };
 
 /// rate-distortion.csv and .svg in the folder; without gnuplot only the first, with a warning.
 /// errors: kUnwritable
 Result<void> write_rates(const OutputFolder& output, const std::vector<RatePoint>& points,
                          const RateNames& names);
-
-nlohmann::json to_json(const std::vector<RatePoint>& points, const RateNames& names);
 
 /// On the straight line between logarithms; nothing outside the coder's range.
 std::optional<double> bytes_at(const std::vector<RatePoint>& points, const std::string& coder,
