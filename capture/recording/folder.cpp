@@ -128,7 +128,8 @@ Result<void> check_frame(const Frame& frame, const CameraInfo& camera,
     return fail(ErrorCode::kInvalid, fmt::format("{}, frame {}", camera.name, frame.sequence),
                 std::move(detail));
   };
-  if (!frame.pixels && !frame.map) return invalid("has no pixels");
+  if (camera.gives_maps ? !frame.map : !frame.pixels)
+    return invalid(camera.gives_maps ? "has no map" : "has no pixels");
   const int w = frame.map ? frame.map->radiance.width() : width(*frame.pixels),
             h = frame.map ? frame.map->radiance.height() : height(*frame.pixels);
   if (w != camera.projection.width || h != camera.projection.height)

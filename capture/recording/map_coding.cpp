@@ -12,6 +12,7 @@
 #include "core/conventions.h"
 
 extern "C" {
+#include <libavutil/crc.h>
 #include <libavutil/opt.h>
 }
 
@@ -19,6 +20,9 @@ namespace penumbra::capture {
 
 namespace {
 
+// Of maps whose mean is far beyond what light is.
+constexpr double kMinExposure = 1e-20, kMaxExposure = 1e20;
+constexpr float kMaxGain = 1.25f;  // more is no rounding, but a black map
 constexpr AVPixelFormat kLightFormat = AV_PIX_FMT_YUV444P12LE;
 // What a pixel of the second picture says: how well it was seen, or that it is a lower bound.
 constexpr int kSeenWell = 254, kClipped = 255;
@@ -45,6 +49,11 @@ Result<AvCodec> open_coder(const AVCodec* codec, const char* name, int width, in
     out->pix_fmt = format;
     out->time_base = {1, 1000};
     out->thread_count = 1;
+    if (codec->id == AV_CODEC_ID_FFV1) {  // each by itself, with a checksum
+      out->gop_size = 1;
+      out->level = 3;
+      av_dict_set(&options, "slicecrc", "1", 0);
+    }
     if (global_header) out->flags |= AV_CODEC_FLAG_GLOBAL_HEADER;
     r = avcodec_open2(out.get(), codec, &options);
   }
@@ -65,8 +74,16 @@ Result<AvPicture> make_picture(const AVCodecContext& of) {
 }
 
 float sum_of(const Rgb& p) {
-  const float sum = p.r + p.g + p.b;
-  return std::isfinite(sum) && sum > 0 ? sum : 0;
+  return p.r + p.g + p.b;
+}
+
+// Colour matrices of cameras give negative channels, which neither codes nor labels hold.
+Rgb kept(const Rgb& p) {
+  const auto channel = [](float v) {
+    constexpr float kLargest = 1e30f;
+    return v > 0 && std::isfinite(v) ? std::min(v, kLargest) : 0;
+  };
+  return {channel(p.r), channel(p.g), channel(p.b)};
 }
 
 std::span<std::uint16_t> codes(const AVFrame& picture, int plane, int y) {
@@ -192,14 +209,19 @@ double power_of(const Image<Rgb>& map) {
 // Takes out what carries more than its part of all light: a coder's error in it would be one of the
 // light. What stands before it in its row takes its place.
 std::vector<MapLabel::Peak> take_peaks(Image<Rgb>& map, double total_sr) {
-  constexpr double kLargestPart = 1. / 400;
+  // In a map of a few pixels each is much of the light, and none stands out.
+  constexpr double kMuch = 1. / 400, kTimesMean = 16;
+  const double largest = std::max(kMuch, kTimesMean / static_cast<double>(map.area())) * total_sr;
   std::vector<MapLabel::Peak> out;
   for (int y = 0; y < map.height(); ++y) {
     const double solid = latlong_solid_angle(y, map.width(), map.height());
     const auto row = map.row(y);
-    Rgb before;
+    const auto stands_out = [&](const Rgb& p) { return double(sum_of(p)) * solid > largest; };
+    // A row goes on from its end.
+    const auto last = std::find_if_not(row.rbegin(), row.rend(), stands_out);
+    Rgb before = last == row.rend() ? Rgb{} : *last;
     for (std::size_t x = 0; x < row.size(); ++x) {
-      if (double(sum_of(row[x])) * solid <= kLargestPart * total_sr) {
+      if (!stands_out(row[x])) {
         before = row[x];
         continue;
       }
@@ -214,7 +236,6 @@ std::vector<MapLabel::Peak> take_peaks(Image<Rgb>& map, double total_sr) {
 // What a coded picture loses or gains in all. Slow changes stay below a coder's steps and would be
 // missing in every pixel alike.
 Rgb gains_of(const Image<Rgb>& truth, const AVFrame& decoded, const AVFrame& seen) {
-  constexpr double kLargest = 1.25;  // more is no rounding, but a black map
   glm::dvec3 wanted(0), got(0);
   std::vector<Rgb> row(static_cast<std::size_t>(truth.width()));
   for (int y = 0; y < truth.height(); ++y) {
@@ -234,18 +255,36 @@ Rgb gains_of(const Image<Rgb>& truth, const AVFrame& decoded, const AVFrame& see
   }
   Rgb out{1, 1, 1};
   for (int c = 0; c < 3; ++c)
-    if (const double gain = wanted[c] / got[c]; gain < kLargest && gain > 1 / kLargest)
+    if (const double gain = wanted[c] / got[c]; gain < kMaxGain && gain > 1 / kMaxGain)
       out[c] = static_cast<float>(gain);
   return out;
 }
 
 }  // namespace
 
-std::string print_map_label(const MapLabel& label) {
-  std::string out = fmt::format(";{:.6g} {:.6g} {:.6g}", label.gain.r, label.gain.g, label.gain.b);
+namespace {
+
+std::string checksum(std::string_view text) {
+  return fmt::format("{:08x}",
+                     av_crc(av_crc_get_table(AV_CRC_32_IEEE), 0,
+                            reinterpret_cast<const std::uint8_t*>(text.data()), text.size()));
+}
+
+}  // namespace
+
+std::string print_map_label(const std::string& row, const MapLabel& label) {
+  std::string out =
+      row + fmt::format(";{:.6g} {:.6g} {:.6g}", label.gain.r, label.gain.g, label.gain.b);
   for (const auto& [pixel, radiance] : label.peaks)
     out += fmt::format(";{} {:.5g} {:.5g} {:.5g}", pixel, radiance.r, radiance.g, radiance.b);
-  return out;
+  return out + ";" + checksum(out);
+}
+
+Result<MapLabelText> split_map_label(std::string_view text) {
+  const auto last = text.rfind(';'), first = text.find(';');
+  if (last == std::string_view::npos || text.substr(last + 1) != checksum(text.substr(0, last)))
+    return fail(ErrorCode::kInvalid, "label", "has another checksum than it says");
+  return MapLabelText{text.substr(0, first), text.substr(first, last - first)};
 }
 
 namespace {
@@ -275,9 +314,11 @@ Result<MapLabel> parse_map_label(std::string_view text, double exposure) {
   };
   MapLabel out;
   out.exposure = exposure;
-  if (!(exposure > 0)) return damaged("exposure");
+  if (!(exposure >= kMinExposure && exposure <= kMaxExposure)) return damaged("its exposure");
   const std::string_view gain = next();
   if (!read_colour(gain.data(), gain.data() + gain.size(), out.gain)) return damaged(gain);
+  for (int c = 0; c < 3; ++c)
+    if (!(out.gain[c] > .99f / kMaxGain && out.gain[c] < 1.01f * kMaxGain)) return damaged(gain);
   while (!text.empty()) {
     const std::string_view part = next();
     const char* const end = part.data() + part.size();
@@ -301,11 +342,12 @@ Result<MapLabel> MapEncoder::code(const Environment& map, AVPacket& light, AVPac
   for (AVFrame* const p : {&picture, seen_picture_.get()})
     if (const int r = av_frame_make_writable(p); r < 0)
       return fail(ErrorCode::kUnavailable, "light", av_reason(r));
-  exposed_ = map.radiance;
+  exposed_.reset(picture.width, picture.height);
+  std::ranges::transform(map.radiance.pixels(), exposed_.pixels().begin(), kept);
   MapLabel label{.peaks = take_peaks(exposed_, power_of(exposed_))};
   const double mean = power_of(exposed_) / (4 * kPi) / 3;
   // A change of all light, by clouds or the hour, is then none of the picture.
-  if (mean > 0 && std::isfinite(1 / mean)) label.exposure = 1 / mean;
+  if (mean > 0) label.exposure = std::clamp(1 / mean, kMinExposure, kMaxExposure);
   for (Rgb& p : exposed_.pixels()) p = p * static_cast<float>(label.exposure);
   for (int y = 0; y < picture.height; ++y)
     codec::log_luv_from_rgb(exposed_.row(y),

@@ -7,12 +7,11 @@
 #include <tuple>
 
 #include "calib/camera/response.h"
-#include "capture/camera_regions.h"
 #include "capture/frames.h"
 #include "capture/raw_formats.h"
 #include "capture/recording/folder.h"
 #include "capture/recording/folder_format.h"
-#include "capture/recording/internal/map_coding.h"
+#include "capture/recording/internal/map_track.h"
 #include "capture/recording/internal/recording_format.h"
 #include "capture/recording/recording.h"
 #include "core/io/toml_keys.h"
@@ -36,11 +35,6 @@ constexpr std::size_t kAhead = 64;
 // Pictures of one camera that wait for their labels; more in a row without one are no recording of
 // ours.
 constexpr std::size_t kMaxWaiting = 64;
-
-struct FreePacket {
-  void operator()(AVPacket* p) const { av_packet_free(&p); }
-};
-using Packet = std::unique_ptr<AVPacket, FreePacket>;
 
 struct FreeContainer {
   void operator()(AVFormatContext* c) const { avformat_close_input(&c); }
@@ -150,54 +144,6 @@ Result<FramePixels> PictureTrack::from_frame() {
   return out;
 }
 
-// A light track's maps.
-class MapTrack {
- public:
-  static Result<MapTrack> open(const AVStream& light, const AVStream& seen,
-                               const CameraInfo& track);
-  /// out: nothing for a map that builds on one that is missing or damaged
-  /// errors: kUnreadable, once for each damage
-  Result<std::optional<Environment>> decode(const AVPacket& light, std::uint64_t number,
-                                            const MapLabel& label);
-
-  int seen = -1;                    // stream
-  std::deque<Packet> waiting_seen;  // packets of it
-
- private:
-  explicit MapTrack(MapDecoder decoder) : decoder_(std::move(decoder)) {}
-  MapDecoder decoder_;
-  std::optional<std::uint64_t> next_;  // map that can be decoded beside those that stand alone
-};
-
-Result<MapTrack> MapTrack::open(const AVStream& light, const AVStream& seen,
-                                const CameraInfo& track) {
-  const calib::CameraModel& size = track.projection;
-  for (const AVCodecParameters* c : {light.codecpar, seen.codecpar})
-    if (c->width != size.width || c->height != size.height)
-      return fail(ErrorCode::kInvalid, track.name,
-                  fmt::format("has maps of {}x{} pixels instead of {}x{}", c->width, c->height,
-                              size.width, size.height));
-  PENUMBRA_ASSIGN(decoder, MapDecoder::open(*light.codecpar, *seen.codecpar));
-  MapTrack out(std::move(decoder));
-  out.seen = seen.index;
-  return out;
-}
-
-Result<std::optional<Environment>> MapTrack::decode(const AVPacket& light, std::uint64_t number,
-                                                    const MapLabel& label) {
-  while (!waiting_seen.empty() && waiting_seen.front()->pts < light.pts) waiting_seen.pop_front();
-  const bool begins = (light.flags & AV_PKT_FLAG_KEY) != 0;
-  if (!begins && next_ != number) return std::nullopt;
-  next_.reset();
-  if (waiting_seen.empty() || waiting_seen.front()->pts != light.pts)
-    return fail(ErrorCode::kUnreadable, "map", "does not tell what was seen");
-  const Packet mask = std::move(waiting_seen.front());
-  waiting_seen.pop_front();
-  PENUMBRA_ASSIGN(map, decoder_.decode(light, *mask, label));
-  next_ = number + 1;
-  return map;
-}
-
 // ------------------------------------------------------------------------------- the file
 
 struct CodedFrame {
@@ -282,12 +228,14 @@ Result<void> Recording::read_cameras() {
   const fs::path named = path_ / manifest->first;
   PENUMBRA_ASSIGN(root, parse_toml_text(manifest->second, named));
   const TomlKeys keys(named, root);
-  constexpr std::string_view known[] = {"version", "view_rate_fps", "camera", kLightTrack};
+  constexpr std::string_view known[] = {"version", "view_rate_fps", "camera", "light_track"};
   PENUMBRA_TRY(keys.only(known));
-  PENUMBRA_TRY(keys.version(1));
+  PENUMBRA_TRY(keys.version(keys.has(kLightTrack) ? kVersionWithLight : 1));
   PENUMBRA_ASSIGN(rate, keys.number("view_rate_fps"));
   if (rate < 0 || rate > 1e4) return keys.invalid("view_rate_fps", "is not within 0..10000");
   view_rate_ = rate;
+  if (!keys.has("camera") && !keys.has(kLightTrack))
+    return keys.invalid("camera", "needs at least one table [[camera]]");
   if (keys.has("camera")) {
     PENUMBRA_ASSIGN(cameras, capture::read_cameras(root, named, [&](const std::string& name) {
                       const auto file = attached.find(name);
@@ -327,11 +275,12 @@ Result<void> Recording::read_light_track(const TomlKeys& keys) {
 Result<void> Recording::choose_light(RecordedLight light) {
   const bool has_track = std::ranges::any_of(cameras_, &CameraInfo::gives_maps),
              has_cameras = std::ranges::any_of(cameras_, [](const CameraInfo&c) {
-               return !c.gives_maps && shows_surroundings(c);
+               return !c.gives_maps && c.role == Role::kEnvironment;
              });
   if (light == RecordedLight::kBoth) return {};
   if (light == RecordedLight::kTrack && !has_track)
     return fail(ErrorCode::kInvalid, path_.string(), "has no light track");
+  // Beside a track a ball in a view camera's picture tells nothing new.
   const bool from_track = light == RecordedLight::kTrack ||
                           (light == RecordedLight::kEither && has_track && !has_cameras);
   std::erase_if(cameras_, [&](const CameraInfo& c) {
@@ -421,11 +370,14 @@ Result<void> Recording::keep_picture(Packet packet) {
 Result<void> Recording::keep_label(const AVPacket& label, std::size_t n) {
   const std::string_view text(reinterpret_cast<const char*>(label.data),
                               static_cast<std::size_t>(label.size));
-  const std::string_view of_map = text.substr(std::min(text.find(';'), text.size()));
-  PENUMBRA_ASSIGN(row, parse_row(text.substr(0, text.size() - of_map.size()), true, at(label)));
+  const bool of_map = cameras_[n].gives_maps;
+  Result<MapLabelText> parts = MapLabelText{text, {}};
+  if (of_map) parts = split_map_label(text);
+  if (!parts) return fail(ErrorCode::kUnreadable, at(label), parts.error().detail);
+  PENUMBRA_ASSIGN(row, parse_row(parts->row, true, at(label)));
   MapLabel map_label;
-  if (cameras_[n].gives_maps) {
-    auto parsed = parse_map_label(of_map, row.exposure.time.count());
+  if (of_map) {
+    auto parsed = parse_map_label(parts->rest, row.exposure.time.count());
     if (!parsed)
       return fail(ErrorCode::kUnreadable, at(label),
                   fmt::format("\"{}\" {}", parsed.error().where, parsed.error().detail));

@@ -245,7 +245,9 @@ Result<void> RecordingWriter::Impl::attach(const std::string& name, const std::s
 }
 
 Result<void> RecordingWriter::Impl::attach_cameras(double view_rate) {
-  std::string text = fmt::format("version = 1\nview_rate_fps = {}\n", view_rate);
+  const bool with_light = std::ranges::any_of(cameras, &CameraInfo::gives_maps);
+  std::string text = fmt::format("version = {}\nview_rate_fps = {}\n",
+                                 with_light ? kVersionWithLight : 1, view_rate);
   for (const CameraInfo& camera : cameras) {
     if (camera.gives_maps) {
       text += fmt::format("\n[{}]\nname = \"{}\"\nwidth = {}\nheight = {}\n", kLightTrack,
@@ -319,9 +321,9 @@ std::string RecordingWriter::Impl::label_text(const Frame& frame, const VideoTra
     return print_row({fmt::format("{}/{}", name, frame.sequence), frame.time, frame.exposure,
                       frame.world_from_camera});
   const Exposure exposure{Seconds(track.map_label.exposure), Gain(1)};
-  return print_row(
-             {fmt::format("{}/{}", name, track.maps->coded() - 1), frame.time, exposure, Pose{}}) +
-         print_map_label(track.map_label);
+  return print_map_label(print_row({fmt::format("{}/{}", name, track.maps->coded() - 1), frame.time,
+                                    exposure, Pose{}}),
+                         track.map_label);
 }
 
 Result<void> RecordingWriter::Impl::mux(const Frame& frame, VideoTrack& track) {
@@ -362,6 +364,11 @@ Result<RecordingWriter> RecordingWriter::create(const std::filesystem::path& pat
                                                 std::vector<CameraInfo> cameras,
                                                 std::span<const Coding> codings, double view_rate) {
   PENUMBRA_TRY(check_cameras(cameras));
+  for (std::size_t i = 0; i < cameras.size(); ++i)
+    if (cameras[i].gives_maps != (codings[i] == Coding::kMap) ||
+        (cameras[i].gives_maps && i + 1 != cameras.size()))
+      return fail(ErrorCode::kInvalid, cameras[i].name,
+                  "is not kept like that: maps are those of one light track, the last of all");
   auto impl = std::make_unique<Impl>();
   impl->path = path;
   impl->cameras = std::move(cameras);

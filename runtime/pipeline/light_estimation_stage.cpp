@@ -94,6 +94,9 @@ Result<LightEstimationStage> LightEstimationStage::create(
   }
   if (stage.views_.empty())
     return fail(ErrorCode::kInvalid, "capture", "has no environment camera");
+  if (stage.views_.size() > 1 && std::ranges::any_of(stage.views_, &RegionView::is_map))
+    return fail(ErrorCode::kInvalid, "capture",
+                "has a light track beside cameras of the surroundings: the light is either's");
   if (stage.views_.size() > 1) stage.blend_.emplace(stage.views_.size());
   stage.lay_out();
   return stage;

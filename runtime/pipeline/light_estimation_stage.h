@@ -54,7 +54,6 @@ class LightEstimationStage {
   /// Makes all maps of so many rows, whatever the cameras resolve.
   /// in: before the first frame; even, 16..1024
   void fix_rows(int rows);
-  int rows() const { return rows_; }
   Result<lighting::LightEstimate> process(const capture::Frame& frame) {
     lighting::LightEstimate out;
     PENUMBRA_TRY(process(frame, out));

@@ -55,7 +55,7 @@ Environment halved(const Environment& map) {
 class LightTrackSource final : public capture::FrameSource {
  public:
   LightTrackSource(capture::FrameSource& source, std::unique_ptr<StageTimes> times,
-                   LightEstimationStage stage, KeptLight keep, int max_rows);
+                   LightEstimationStage stage, KeptLight keep, int rows, int halvings);
 
   const std::vector<capture::CameraInfo>& cameras() const override { return cameras_; }
   double view_rate() const override { return source_.view_rate(); }
@@ -78,15 +78,14 @@ class LightTrackSource final : public capture::FrameSource {
 };
 
 LightTrackSource::LightTrackSource(capture::FrameSource& source, std::unique_ptr<StageTimes> times,
-                                   LightEstimationStage stage, KeptLight keep, int max_rows)
-    : source_(source), times_(std::move(times)), stage_(std::move(stage)) {
+                                   LightEstimationStage stage, KeptLight keep, int rows,
+                                   int halvings)
+    : source_(source), times_(std::move(times)), stage_(std::move(stage)), halvings_(halvings) {
   for (const capture::CameraInfo& c : source.cameras()) {
-    const bool kept = keep == KeptLight::kBoth || c.role == capture::Role::kView;
+    const bool kept = c.role == capture::Role::kView || (keep == KeptLight::kBoth && !c.gives_maps);
     kept_.push_back(kept ? std::optional(static_cast<int>(cameras_.size())) : std::nullopt);
     if (kept) cameras_.push_back(c);
   }
-  int rows = stage_.rows();
-  for (; rows > max_rows && rows % 4 == 0; rows /= 2) ++halvings_;
   capture::CameraInfo& track = cameras_.emplace_back();
   track.name = kTrackName;
   track.gives_maps = true;
@@ -98,9 +97,19 @@ std::vector<capture::CameraCounts> LightTrackSource::counts() const {
   const auto all = source_.counts();
   if (all.empty()) return {};
   std::vector<capture::CameraCounts> out;
-  for (std::size_t i = 0; i < all.size() && i < kept_.size(); ++i)
-    if (kept_[i]) out.push_back(all[i]);
-  out.emplace_back().frames = maps_;
+  capture::CameraCounts track;
+  track.frames = maps_;
+  for (std::size_t i = 0; i < all.size() && i < kept_.size(); ++i) {
+    if (kept_[i]) {
+      out.push_back(all[i]);
+      continue;
+    }
+    // What the track is measured from is told with it.
+    track.arrived += all[i].arrived, track.lost += all[i].lost;
+    track.damaged += all[i].damaged, track.rejected += all[i].rejected;
+    track.overrun += all[i].overrun, track.reconnected += all[i].reconnected;
+  }
+  out.push_back(std::move(track));
   return out;
 }
 
@@ -134,6 +143,17 @@ Result<std::optional<capture::Frame>> LightTrackSource::next() {
   }
 }
 
+// As fine as the finest of the cameras; nothing while no ball is in its picture.
+int rows_seen(const std::vector<capture::CameraInfo>& cameras) {
+  int rows = 0;
+  for (const capture::CameraInfo& c : cameras) {
+    if (!capture::shows_surroundings(c)) continue;
+    if (const auto regions = capture::camera_regions(c, c.world_from_camera))
+      for (const capture::CameraRegion& r : *regions) rows = std::max(rows, r.rows);
+  }
+  return rows;
+}
+
 }  // namespace
 
 Result<KeptLight> kept_light(std::string_view name) {
@@ -151,10 +171,19 @@ Result<std::unique_ptr<capture::FrameSource>> with_light_track(capture::FrameSou
                 fmt::format("are not within {}..{}", kMin, kMax));
   auto times = std::make_unique<StageTimes>();
   PENUMBRA_ASSIGN(stage, LightEstimationStage::create(source.cameras(), {}, *times));
+  const auto& cameras = source.cameras();
+  if (std::ranges::any_of(cameras, [](const capture::CameraInfo& c) {
+        return c.name == kTrackName && !c.gives_maps;
+      }))
+    return fail(ErrorCode::kInvalid, std::string(kTrackName),
+                "is a camera's name here, and a light track's: rename the camera");
   // A ball that comes nearer must not make the maps larger.
-  stage.fix_rows(stage.rows() > kMin ? stage.rows() : kLightTrackRows);
-  return std::make_unique<LightTrackSource>(source, std::move(times), std::move(stage), keep,
-                                            max_rows);
+  const int seen = rows_seen(cameras);
+  int rows = std::clamp(seen > 0 ? seen : kLightTrackRows, kMin, kMax) / 2 * 2, halvings = 0;
+  for (; rows > max_rows; rows = std::max(kMin, rows / 4 * 2)) ++halvings;
+  stage.fix_rows(rows << halvings);
+  return std::make_unique<LightTrackSource>(source, std::move(times), std::move(stage), keep, rows,
+                                            halvings);
 }
 
 }  // namespace penumbra::runtime

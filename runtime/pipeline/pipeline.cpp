@@ -98,8 +98,9 @@ struct Pipeline::Impl {
       return fail(
           ErrorCode::kInvalid, "frame",
           fmt::format("belongs to camera {}, but there are {}", frame.camera, cameras.size()));
-    if (!frame.pixels && !(frame.map && cameras[static_cast<std::size_t>(frame.camera)].gives_maps))
-      return fail(ErrorCode::kInvalid, "frame", "has no pixels");
+    const bool is_map = cameras[static_cast<std::size_t>(frame.camera)].gives_maps;
+    if (is_map ? !frame.map : !frame.pixels)
+      return fail(ErrorCode::kInvalid, "frame", is_map ? "has no map" : "has no pixels");
     return {};
   }
   Result<void> check(const capture::FrameSource& source) const {

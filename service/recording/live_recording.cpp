@@ -138,16 +138,22 @@ Result<std::string> LiveRecording::start(const std::string& name, runtime::KeptL
   std::error_code error;
   if (fs::exists(file, error)) return fail(ErrorCode::kInvalid, name, "is there already");
   if (const auto before = state(); before && !before->active) end_thread();
-  const std::scoped_lock lock(mutex_);
-  if (!source_) return fail(ErrorCode::kUnavailable, "the service", "is still starting");
-  if (branch_)
-    return fail(ErrorCode::kUnavailable, state_->file, "is being recorded: stop it first");
-  auto made = std::make_shared<Branch>(*source_);
+  std::shared_ptr<Branch> made;
+  {
+    const std::scoped_lock lock(mutex_);
+    if (!source_) return fail(ErrorCode::kUnavailable, "the service", "is still starting");
+    if (branch_)
+      return fail(ErrorCode::kUnavailable, state_->file, "is being recorded: stop it first");
+    made = std::make_shared<Branch>(*source_);
+  }
+  // Outside the lock, as the frames of the run go through it.
   std::shared_ptr<capture::FrameSource> frames = made;
   if (light != runtime::KeptLight::kCameras) {
     PENUMBRA_ASSIGN(tracked, runtime::with_light_track(*made, light));
     frames = std::move(tracked);
   }
+  const std::scoped_lock lock(mutex_);
+  if (!source_) return fail(ErrorCode::kUnavailable, "the service", "is ending");
   stop_ = false;
   branch_ = made;
   state_.emplace();

@@ -57,6 +57,9 @@ Result<Beginning> begin(capture::FrameSource& source, const Watch& watch,
                         const std::atomic<bool>& stop) {
   const auto& cameras = source.cameras();
   std::vector<std::optional<capture::Coding>> found(cameras.size());
+  // A track may be silent for long: the night, a cap on the lens.
+  for (std::size_t i = 0; i < cameras.size(); ++i)
+    if (cameras[i].gives_maps) found[i] = capture::Coding::kMap;
   Beginning out;
   out.dropped.resize(cameras.size());
   for (;;) {

@@ -192,6 +192,61 @@ TEST_F(LightTrack, BlackMapsAndNoNumbersAreKept) {
   EXPECT_NEAR(back[0].map->black_fraction, 1, 1e-6);
 }
 
+// A camera's colour matrix makes negative channels of saturated lamps.
+TEST_F(LightTrack, NegativeChannelsOfALampAreNone) {
+  Environment map = measured_map(make_room_environment(2 * kTrackRows, kTrackRows), 1);
+  map.radiance.at(40, 20) = {-300, -26, 5000};
+  map.radiance.at(41, 20) = {-.1f, .5f, .5f};
+  write({map_frame(map, 0)});
+  const auto back = read();
+  ASSERT_EQ(back.size(), 1u);
+  EXPECT_EQ(back[0].map->radiance.at(40, 20).r, 0);
+  EXPECT_NEAR(back[0].map->radiance.at(40, 20).b, 5000, 1);
+}
+
+// A random reader begins at any key map: light and mask stand alone there.
+TEST_F(LightTrack, KeyMapsStandAlone) {
+  const auto maps = track_of(make_room_environment(2 * kTrackRows, kTrackRows));
+  write(maps);
+  std::string bytes(fs::file_size(path()), '\0');
+  std::ifstream(path(), std::ios::binary)
+      .read(bytes.data(), static_cast<std::streamsize>(bytes.size()));
+  // Map 5's label names another map, so nothing comes until the key map 30.
+  const auto at = bytes.find("light/5,");
+  ASSERT_NE(at, std::string::npos);
+  bytes[at + 6] = '7';
+  std::ofstream(path(), std::ios::binary | std::ios::trunc) << bytes;
+  int damaged = 0;
+  const auto back = read(&damaged);
+  EXPECT_EQ(damaged, 2) << "its label, and once that maps build on what is missing";
+  ASSERT_EQ(back.size(), maps.size() - 25);
+  EXPECT_EQ(back[4].time, maps[4].time);
+  EXPECT_EQ(back[5].time, maps[30].time);
+  EXPECT_LT(test::irradiance_error(back[5].map->radiance, maps[30].map->radiance), .015);
+}
+
+TEST_F(LightTrack, LabelsThatNoWriterWritesAreRefused) {
+  const auto maps = track_of(make_room_environment(2 * kTrackRows, kTrackRows), 2);
+  write(maps);
+  std::string whole(fs::file_size(path()), '\0');
+  std::ifstream(path(), std::ios::binary)
+      .read(whole.data(), static_cast<std::streamsize>(whole.size()));
+  const auto label = whole.find("light/0,"), gain = whole.find(';', label);
+  ASSERT_NE(gain, std::string::npos);
+  const auto refused_with = [&](std::size_t from, std::string_view bad) {
+    std::string bytes = whole;
+    bytes.replace(from, bad.size(), bad);
+    std::ofstream(path(), std::ios::binary | std::ios::trunc) << bytes;
+    const auto source = open_recording(path(), RecordedLight::kTrack);
+    return source && !(*source)->next();
+  };
+  EXPECT_FALSE(refused_with(label, "light/0,"));
+  EXPECT_TRUE(refused_with(gain, ";9"));     // a gain of 9
+  EXPECT_TRUE(refused_with(gain, ";-"));     // a negative one
+  EXPECT_TRUE(refused_with(gain, "; nan"));  // none
+  EXPECT_TRUE(refused_with(gain, ",,"));     // a row that is none
+}
+
 // What a killed writer left ends with the last whole map.
 TEST_F(LightTrack, CutAnywhereItEndsEarlier) {
   const auto maps = track_of(make_room_environment(2 * kTrackRows, kTrackRows));
@@ -213,7 +268,13 @@ TEST_F(LightTrack, CutAnywhereItEndsEarlier) {
 // key, and every map that comes is right.
 TEST_F(LightTrack, DamageCostsMapsUpToTheNextKey) {
   const Image<Rgb> truth = make_room_environment(2 * kTrackRows, kTrackRows);
-  const auto maps = track_of(truth);
+  auto maps = track_of(truth);
+  // What is seen changes, too: a mask of another map would be as wrong.
+  for (std::size_t i = 0; i < maps.size(); ++i) {
+    Environment map = *maps[i].map;
+    map.clipped = {static_cast<std::uint32_t>(100 + i)};
+    maps[i] = map_frame(std::move(map), i);
+  }
   write(maps);
   std::string whole(fs::file_size(path()), '\0');
   std::ifstream(path(), std::ios::binary)
@@ -233,6 +294,7 @@ TEST_F(LightTrack, DamageCostsMapsUpToTheNextKey) {
     for (const Frame& f : back) {
       const auto n = static_cast<std::size_t>(std::lround((f.time - maps[0].time).count() / .1));
       ASSERT_LT(n, maps.size());
+      EXPECT_EQ(f.map->clipped, maps[n].map->clipped) << turn << " " << n;
       EXPECT_LT(test::irradiance_error(f.map->radiance, maps[n].map->radiance), .02)
           << turn << " " << n;
     }
@@ -287,6 +349,12 @@ TEST_F(LightTrack, RefusesWhatItCannotKeep) {
     EXPECT_THAT(refused.error().detail, HasSubstr("16..1024")) << rows;
     EXPECT_FALSE(fs::exists(path())) << rows;
   }
+  const std::vector pictures_alone{Coding::kRgb8};
+  EXPECT_FALSE(RecordingWriter::create(path(), {light_track()}, pictures_alone, 0));
+  CameraInfo camera = light_track();
+  camera.gives_maps = false;
+  EXPECT_FALSE(RecordingWriter::create(path(), {camera}, coding, 0));
+  EXPECT_FALSE(fs::exists(path()));
   auto writer = *RecordingWriter::create(path(), {light_track()}, coding, 0);
   Environment small;
   small.radiance = Image<Rgb>(kTrackRows, kTrackRows / 2);

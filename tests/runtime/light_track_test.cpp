@@ -76,6 +76,48 @@ TEST(LightTrackSource, HalvedMapsKeepTheirLight) {
   EXPECT_LT(test::irradiance_error(coarse.radiance, fine.radiance), .01);
 }
 
+// Whatever the cameras resolve: a fisheye of 275 pixels has 862 rows.
+TEST(LightTrackSource, NoMapHasMoreRowsThanAskedFor) {
+  FilmedRoom room;
+  for (const int height : {64, 86, 90, 102, 128}) {
+    room.options.environment_width = 2 * height, room.options.environment_height = height;
+    for (const int most : {16, 50, 64}) {
+      capture::Studio studio(room.world, room.options);
+      auto tracked = *with_light_track(studio, KeptLight::kTrack, most);
+      const int rows = tracked->cameras().back().projection.height;
+      EXPECT_LE(rows, most) << height;
+      EXPECT_GE(2 * rows + 4, std::min(most, height)) << height;
+      EXPECT_EQ(rows % 2, 0) << height;
+      for (;;)
+        if (auto frame = *tracked->next(); frame->map) {
+          EXPECT_EQ(frame->map->radiance.height(), rows) << height;
+          break;
+        }
+    }
+  }
+}
+
+TEST(LightTrackSource, ATrackBesideCamerasIsNoOneLight) {
+  const FilmedRoom room;
+  capture::Studio studio(room.world, room.options);
+  auto both = *with_light_track(studio, KeptLight::kBoth);
+  StageTimes times;
+  EXPECT_FALSE(LightEstimationStage::create(both->cameras(), {.bands = 3}, times));
+  EXPECT_FALSE(with_light_track(*both, KeptLight::kTrack));
+}
+
+TEST(LightTrackSource, ATrackOfATrackIsOneTrack) {
+  const FilmedRoom room;
+  for (const KeptLight keep : {KeptLight::kTrack, KeptLight::kBoth}) {
+    capture::Studio studio(room.world, room.options);
+    auto track = *with_light_track(studio, KeptLight::kTrack, 32);
+    auto again = *with_light_track(*track, keep);
+    ASSERT_EQ(again->cameras().size(), 2u);
+    EXPECT_EQ(again->cameras()[1].projection.height, 32);
+    EXPECT_EQ(order_of(*again).substr(0, 4), "vlvl");
+  }
+}
+
 TEST(LightTrackSource, AnEstimateFromTheRecordedTrackIsTheCameras) {
   const FilmedRoom room;
   const test::TempFolder folder;

@@ -78,8 +78,8 @@ Result<void> hdr_environment(const HdrEnvironmentOptions& o) {
   if (!o.json) {
     fmt::print("{}: {}x{} from {} of {}, {:.1f} % of the sphere seen, {:.3f} % clipped\n", o.output,
                map.radiance.width(), map.radiance.height(), counted(stage.gains().size(), "view"),
-               counted(stage.exposures(), "exposure"), 100 * seen.coverage,
-               100 * map.clipped_fraction);
+               stage.exposures() > 0 ? counted(stage.exposures(), "exposure") : "a light track",
+               100 * seen.coverage, 100 * map.clipped_fraction);
     return {};
   }
   nlohmann::json views = nlohmann::json::array();

@@ -45,7 +45,9 @@ using nlohmann::json;
 
 json to_json(const capture::CameraInfo& c) {
   return {{"name", c.name},
-          {"role", c.role == capture::Role::kView ? "view" : "environment"},
+          {"role", c.gives_maps                     ? "light track"
+                   : c.role == capture::Role::kView ? "view"
+                                                    : "environment"},
           {"width", c.projection.width},
           {"height", c.projection.height},
           {"projection", calib::projection_name(c.projection.kind)}};

@@ -48,10 +48,16 @@ struct MapLabel {
   };
   std::vector<Peak> peaks{};
 };
-/// What follows a label's row, but for the exposure, which stands in the row.
-std::string print_map_label(const MapLabel& label);
+/// A label's row, and behind it all else, with a checksum (CRC-32 of IEEE 802.3) at the end.
+std::string print_map_label(const std::string& row, const MapLabel& label);
+struct MapLabelText {
+  std::string_view row, rest;
+};
+/// errors: kInvalid (the checksum is of another text)
+Result<MapLabelText> split_map_label(std::string_view text);
+/// Of the rest; the exposure stands in the row.
 /// errors: kInvalid
-Result<MapLabel> parse_map_label(std::string_view text, double exposure);
+Result<MapLabel> parse_map_label(std::string_view rest, double exposure);
 
 class MapEncoder {
  public:

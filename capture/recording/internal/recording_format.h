@@ -15,6 +15,7 @@ inline constexpr std::string_view kResponseSuffix = ".response.toml";
 
 // Of cameras.toml, where a light track stands beside the cameras: its name and size.
 inline constexpr std::string_view kLightTrack = "light_track";
+inline constexpr int kVersionWithLight = 2;  // of cameras.toml
 inline std::string seen_title(const std::string& track) {
   return track + ": seen";
 }

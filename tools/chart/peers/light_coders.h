@@ -1,5 +1,5 @@
 // Video coders that others would take for maps of the surroundings, for comparison.
-// threads: free functions reentrant
+// threads: one at a time, as a coder's settings go through the environment
 #pragma once
 
 #include <cstddef>
