@@ -166,22 +166,21 @@ std::optional<SolvedPose> BoardTracker::Impl::decide(std::span<const Sighting> p
   constexpr double kDecided = 25;  // of misfit: five standard deviations
   constexpr double kNearer = .5;
   const LaidBoard& laid = boards[board];
-  const auto other =
-      solve_pose(points, leaned_the_other_way(first.world_from_camera, laid.middle(),
-                                              laid.world_from_board.rotation_matrix()));
+  auto other = solve_pose(points, leaned_the_other_way(first.world_from_camera, laid.middle(),
+                                                       laid.world_from_board.rotation_matrix()));
   if (!other) return first;
   const double turn = angle_between(first.world_from_camera, other->world_from_camera);
   const double sigma = std::min(first.sigma_px, other->sigma_px);
   const double worse = misfit(*other, sigma) - misfit(first, sigma);
   if (turn < kSame) return worse >= 0 ? first : *other;
   if (worse > kDecided) return first;
-  if (worse < -kDecided) return *other;
+  if (worse < -kDecided) return other;
   if (last && time - last->time <= kDecides) {
     const Pose expected = predicted(time);
     const double from_first = angle_between(expected, first.world_from_camera),
                  from_other = angle_between(expected, other->world_from_camera);
     if (from_first < kNearer * from_other) return first;
-    if (from_other < kNearer * from_first) return *other;
+    if (from_other < kNearer * from_first) return other;
   }
   undecided = true;
   return std::nullopt;

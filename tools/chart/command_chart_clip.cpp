@@ -7,6 +7,7 @@
 
 #include "capture/studio/environments.h"
 #include "codec/codec.h"
+#include "core/io/files.h"
 #include "lighting/sh/projection.h"
 #include "lighting/sh/rotation.h"
 #include "prt/clip/light_map.h"
