@@ -20,7 +20,8 @@ namespace {
 
 class FolderSource final : public FrameSource {
  public:
-  FolderSource(fs::path folder, std::vector<FolderCamera> read) : folder_(std::move(folder)) {
+  FolderSource(fs::path folder, std::vector<FolderCamera> read, Seconds from)
+      : folder_(std::move(folder)) {
     for (std::size_t c = 0; c < read.size(); ++c) {
       for (std::size_t n = 0; n < read[c].rows.size(); ++n) order_.push_back({c, n});
       cameras_.push_back(std::move(read[c].info));
@@ -30,6 +31,12 @@ class FolderSource final : public FrameSource {
     std::ranges::stable_sort(order_, {}, [&](const FrameEntry& e) {
       return std::tuple(rows_[e.camera][e.row].time, cameras_[e.camera].role == Role::kView,
                         e.camera);
+    });
+    if (from.count() == 0 || order_.empty()) return;
+    const TimestampNs first = rows_[order_[0].camera][order_[0].row].time;
+    std::erase_if(order_, [&](const FrameEntry& e) {
+      const Seconds since = rows_[e.camera][e.row].time - first;
+      return since < (cameras_[e.camera].role == Role::kView ? from : from - kLightBefore);
     });
   }
 
@@ -139,9 +146,17 @@ Result<void> check_frame(const Frame& frame, const CameraInfo& camera,
   return {};
 }
 
-Result<std::unique_ptr<FrameSource>> open_capture_folder(const fs::path& folder) {
+Result<void> check_from(Seconds from) {
+  constexpr Seconds kLongest(86400e3);
+  if (from >= Seconds(0) && from <= kLongest) return {};
+  return fail(ErrorCode::kInvalid, "begin of the replay",
+              fmt::format("{} s is not within 0..{:.0f}", from.count(), kLongest.count()));
+}
+
+Result<std::unique_ptr<FrameSource>> open_capture_folder(const fs::path& folder, Seconds from) {
+  PENUMBRA_TRY(check_from(from));
   PENUMBRA_ASSIGN(cameras, read_manifest(folder));
-  return std::make_unique<FolderSource>(folder, std::move(cameras));
+  return std::make_unique<FolderSource>(folder, std::move(cameras), from);
 }
 
 bool holds_capture(const fs::path& folder) {

@@ -9,6 +9,7 @@
 
 #include "capture/frames.h"
 #include "core/result.h"
+#include "core/units.h"
 
 #pragma GCC visibility push(default)
 namespace penumbra::capture {
@@ -17,7 +18,9 @@ namespace penumbra::capture {
 /// can be checked without decoding a picture is checked here: keys, sizes, exposures (positive,
 /// finite), times (non-decreasing), files present.
 /// errors: kNotFound, kInvalid (unknown key, bad value: file and line), kUnreadable
-Result<std::unique_ptr<FrameSource>> open_capture_folder(const std::filesystem::path& folder);
+/// from: as open_recording's
+Result<std::unique_ptr<FrameSource>> open_capture_folder(const std::filesystem::path& folder,
+                                                         Seconds from = Seconds(0));
 
 /// A camera on its own (for `render`): `version = 1` and one [[camera]] without frames.
 /// errors: kNotFound, kUnreadable, kInvalid

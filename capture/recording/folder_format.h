@@ -13,6 +13,7 @@
 
 #include "calib/camera/response.h"
 #include "capture/frames.h"
+#include "core/units.h"
 
 #pragma GCC visibility push(default)
 namespace penumbra::capture {
@@ -71,6 +72,12 @@ Result<void> check_cameras(const std::vector<CameraInfo>& cameras);
 /// errors: kInvalid (no picture, another size, earlier than the last)
 Result<void> check_frame(const Frame& frame, const CameraInfo& camera,
                          const std::optional<TimestampNs>& last);
+
+/// What tells the light begins so long before the pictures where a replay does not begin at the
+/// start: a bracket's length and more.
+inline constexpr Seconds kLightBefore(2);
+/// errors: kInvalid (negative, beyond a thousand days)
+Result<void> check_from(Seconds from);
 
 /// Whether a path of a capture file stays inside its folder: relative, without "..".
 bool stays_inside(const std::filesystem::path& path);

@@ -265,9 +265,9 @@ Rgb gains_of(const Image<Rgb>& truth, const AVFrame& decoded, const AVFrame& see
 namespace {
 
 std::string checksum(std::string_view text) {
+  const auto* bytes = reinterpret_cast<const std::uint8_t*>(text.data());
   return fmt::format("{:08x}",
-                     av_crc(av_crc_get_table(AV_CRC_32_IEEE), 0,
-                            reinterpret_cast<const std::uint8_t*>(text.data()), text.size()));
+                     ~av_crc(av_crc_get_table(AV_CRC_32_IEEE_LE), 0xffffffffu, bytes, text.size()));
 }
 
 }  // namespace

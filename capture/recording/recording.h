@@ -11,6 +11,7 @@
 
 #include "capture/frames.h"
 #include "core/result.h"
+#include "core/units.h"
 
 #pragma GCC visibility push(default)
 namespace penumbra::capture {
@@ -71,14 +72,18 @@ Result<RecordedLight> recorded_light(std::string_view name);
 /// Frames in order of time. What a killed writer left behind ends with the last whole frame.
 /// errors: kNotFound, kUnreadable (damaged, no Matroska), kInvalid (made by another program).
 /// kInvalid too where nothing is left (no light track, or that alone).
+/// from: after the first frame; view cameras begin there, and what tells the light two seconds
+/// before it, or at the key map before that, so that there is light from the first picture on
 /// next(): kUnreadable names the frame; the next call goes on behind it.
 Result<std::unique_ptr<FrameSource>> open_recording(const std::filesystem::path& path,
-                                                    RecordedLight light = RecordedLight::kCameras);
+                                                    RecordedLight light = RecordedLight::kCameras,
+                                                    Seconds from = Seconds(0));
 
 /// A capture folder, which has no light track, or a recording, whichever stands there.
 /// errors: as open_capture_folder and open_recording
 Result<std::unique_ptr<FrameSource>> open_capture(const std::filesystem::path& path,
-                                                  RecordedLight light = RecordedLight::kCameras);
+                                                  RecordedLight light = RecordedLight::kCameras,
+                                                  Seconds from = Seconds(0));
 
 }  // namespace penumbra::capture
 #pragma GCC visibility pop

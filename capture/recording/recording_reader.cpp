@@ -161,7 +161,8 @@ std::string text_of(const AVDictionary* tags, const char* key) {
 
 class Recording final : public FrameSource {
  public:
-  static Result<std::unique_ptr<FrameSource>> open(const fs::path& path, RecordedLight light);
+  static Result<std::unique_ptr<FrameSource>> open(const fs::path& path, RecordedLight light,
+                                                   Seconds from);
   const std::vector<CameraInfo>& cameras() const override { return cameras_; }
   double view_rate() const override { return view_rate_; }
   Result<std::optional<Frame>> next() override;
@@ -173,6 +174,7 @@ class Recording final : public FrameSource {
   Result<void> choose_light(RecordedLight light);
   const AVStream* find_stream(AVMediaType type, const std::string& title) const;
   Result<void> find_tracks();
+  Result<void> begin_at(Seconds from);
   Result<std::optional<Frame>> decode(const CodedFrame& coded);
   Result<std::optional<Frame>> decode_map(const CodedFrame& coded);
   Result<void> keep_picture(Packet packet);
@@ -194,12 +196,13 @@ class Recording final : public FrameSource {
   std::deque<CodedFrame> ahead_;
   bool ended_ = false;
   double view_rate_ = 0;
+  std::int64_t views_from_ms_ = 0;  // by the file's times
 };
 
 Result<void> Recording::open_container() {
   const AVInputFormat* matroska = av_find_input_format("matroska");
   AVFormatContext* opened = avformat_alloc_context();
-  opened->max_index_size = 1 << 16;  // we read from the first frame to the last
+  opened->max_index_size = 1 << 16;  // mostly it is read from the first frame to the last
   // "file:" keeps a name with a colon from being taken as a protocol.
   if (const int r =
           avformat_open_input(&opened, ("file:" + path_.string()).c_str(), matroska, nullptr);
@@ -337,7 +340,26 @@ Result<void> Recording::find_tracks() {
   return {};
 }
 
-Result<std::unique_ptr<FrameSource>> Recording::open(const fs::path& path, RecordedLight light) {
+// The file's times count from its first frame on, rounded as those of frames are.
+Result<void> Recording::begin_at(Seconds from) {
+  if (from.count() == 0) return {};
+  views_from_ms_ = std::chrono::round<std::chrono::milliseconds>(from).count();
+  const auto light_ms = std::chrono::floor<std::chrono::milliseconds>(from - kLightBefore).count();
+  if (light_ms <= 0) return {};
+  AVStream* const stream = container_->streams[tracks_.back().stream()];  // a light track's is last
+  const auto at = av_rescale_q(light_ms, kMilliseconds, stream->time_base);
+  if (av_seek_frame(container_.get(), stream->index, at, AVSEEK_FLAG_BACKWARD) >= 0 &&
+      avformat_index_get_entry_from_timestamp(stream, at, AVSEEK_FLAG_BACKWARD))
+    return {};
+  // Nothing of that track stands before: all is read from the start on.
+  tracks_.clear();
+  maps_.reset();
+  PENUMBRA_TRY(open_container());
+  return find_tracks();
+}
+
+Result<std::unique_ptr<FrameSource>> Recording::open(const fs::path& path, RecordedLight light,
+                                                     Seconds from) {
   av_log_set_level(AV_LOG_FATAL);
   auto out = std::make_unique<Recording>();
   out->path_ = path;
@@ -345,6 +367,7 @@ Result<std::unique_ptr<FrameSource>> Recording::open(const fs::path& path, Recor
   PENUMBRA_TRY(out->read_cameras());
   PENUMBRA_TRY(out->choose_light(light));
   PENUMBRA_TRY(out->find_tracks());
+  PENUMBRA_TRY(out->begin_at(from));
   return out;
 }
 
@@ -393,6 +416,12 @@ Result<void> Recording::keep_label(const AVPacket& label, std::size_t n) {
   auto& waiting = tracks_[n].waiting;
   while (!waiting.empty() && waiting.front()->pts < label.pts) waiting.pop_front();
   if (waiting.empty() || waiting.front()->pts != label.pts) return {};
+  const AVRational unit = container_->streams[label.stream_index]->time_base;
+  if (cameras_[n].role == Role::kView &&
+      av_rescale_q(label.pts, unit, kMilliseconds) < views_from_ms_) {
+    waiting.pop_front();
+    return {};
+  }
   ahead_.push_back({n, sequence, std::move(row), std::move(waiting.front()), std::move(map_label)});
   waiting.pop_front();
   return {};
@@ -476,21 +505,24 @@ Result<RecordedLight> recorded_light(std::string_view name) {
   return fail(ErrorCode::kInvalid, std::string(name), "is none of auto, cameras and track");
 }
 
-Result<std::unique_ptr<FrameSource>> open_recording(const fs::path& path, RecordedLight light) {
+Result<std::unique_ptr<FrameSource>> open_recording(const fs::path& path, RecordedLight light,
+                                                    Seconds from) {
   std::error_code ignored;
   if (!fs::exists(path, ignored)) return fail(ErrorCode::kNotFound, path.string(), "no such file");
-  return Recording::open(path, light);
+  PENUMBRA_TRY(check_from(from));
+  return Recording::open(path, light, from);
 }
 
-Result<std::unique_ptr<FrameSource>> open_capture(const fs::path& path, RecordedLight light) {
+Result<std::unique_ptr<FrameSource>> open_capture(const fs::path& path, RecordedLight light,
+                                                  Seconds from) {
   std::error_code ignored;
   if (!fs::exists(path, ignored))
     return fail(ErrorCode::kNotFound, path.string(), "is neither a recording nor a capture folder");
-  if (fs::is_regular_file(path, ignored)) return open_recording(path, light);
+  if (fs::is_regular_file(path, ignored)) return open_recording(path, light, from);
   if (light == RecordedLight::kTrack)
     return fail(ErrorCode::kInvalid, path.string(),
                 "is a capture folder, which has no light track: a recording may have one");
-  return open_capture_folder(path);
+  return open_capture_folder(path, from);
 }
 
 }  // namespace penumbra::capture

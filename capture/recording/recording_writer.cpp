@@ -27,7 +27,6 @@ namespace penumbra::capture {
 namespace {
 
 constexpr int kBufferBytes = 1 << 16;
-constexpr AVRational kMilliseconds{1, 1000};
 
 std::string_view coding_name(Coding coding) {
   switch (coding) {

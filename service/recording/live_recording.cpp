@@ -133,18 +133,21 @@ Result<std::string> LiveRecording::start(const std::string& name, runtime::KeptL
   if (!name.empty() && !is_plain_name(name))
     return fail(ErrorCode::kInvalid, "file",
                 "is no name of letters, digits, '_', '-' and '.' that ends in .mkv");
+  const std::scoped_lock control(control_mutex_);
   PENUMBRA_ASSIGN(file, new_file("recording", ".mkv"));
   if (!name.empty()) file = folder_ / name;
   std::error_code error;
   if (fs::exists(file, error)) return fail(ErrorCode::kInvalid, name, "is there already");
   if (const auto before = state(); before && !before->active) end_thread();
   std::shared_ptr<Branch> made;
+  const capture::FrameSource* tapped = nullptr;
   {
     const std::scoped_lock lock(mutex_);
     if (!source_) return fail(ErrorCode::kUnavailable, "the service", "is still starting");
     if (branch_)
       return fail(ErrorCode::kUnavailable, state_->file, "is being recorded: stop it first");
     made = std::make_shared<Branch>(*source_);
+    tapped = source_;
   }
   // Outside the lock, as the frames of the run go through it.
   std::shared_ptr<capture::FrameSource> frames = made;
@@ -153,7 +156,8 @@ Result<std::string> LiveRecording::start(const std::string& name, runtime::KeptL
     frames = std::move(tracked);
   }
   const std::scoped_lock lock(mutex_);
-  if (!source_) return fail(ErrorCode::kUnavailable, "the service", "is ending");
+  if (source_ != tapped)
+    return fail(ErrorCode::kUnavailable, "the service", "starts again: ask once more");
   stop_ = false;
   branch_ = made;
   state_.emplace();
@@ -184,6 +188,7 @@ Result<std::string> LiveRecording::start(const std::string& name, runtime::KeptL
 }
 
 Result<RecordingState> LiveRecording::stop() {
+  const std::scoped_lock control(control_mutex_);
   {
     const std::scoped_lock lock(mutex_);
     if (!branch_) return fail(ErrorCode::kNotFound, "recording", "does not go on");

@@ -178,7 +178,7 @@ Result<RecordCounts> record_frames(capture::FrameSource& source, const std::file
                                    const std::function<void(const RecordCounts&)>& on_progress) {
   Watch watch(source, stop, limits.seconds);
   PENUMBRA_ASSIGN(beginning, begin(source, watch, stop));
-  watch.begun();
+  if (!beginning.frames.empty()) watch.begun();
   if (beginning.codings.empty()) return RecordCounts{};  // stopped before anything came
   const auto& cameras = source.cameras();
   PENUMBRA_ASSIGN(writer, capture::RecordingWriter::create(path, cameras, beginning.codings,
@@ -197,9 +197,11 @@ Result<RecordCounts> record_frames(capture::FrameSource& source, const std::file
       if (!next) failed = next.error();
       if (!next || !*next) break;
       frame = std::move(*next);
+      watch.begun();
     }
+    ++taken;
     if (!recorder.add(std::move(*frame))) break;
-    const bool enough = (limits.frames && ++taken >= limits.frames) ||
+    const bool enough = (limits.frames && taken >= limits.frames) ||
                         (limits.seconds > 0 && recorder.seconds() >= limits.seconds);
     if (enough) break;
     if (Clock::now() - told < std::chrono::seconds(1)) continue;
@@ -207,6 +209,9 @@ Result<RecordCounts> record_frames(capture::FrameSource& source, const std::file
     if (on_progress) on_progress(recorder.counts());
   }
   PENUMBRA_TRY(recorder.finish());
+  if (!failed && taken == 0 && watch.late())
+    failed = Error{ErrorCode::kUnavailable, cameras.front().name,
+                   fmt::format("delivers nothing within {:.0f} s", kPatience.count())};
   if (failed) return std::unexpected(std::move(*failed));
   return recorder.counts();
 }

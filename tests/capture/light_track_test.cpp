@@ -58,6 +58,18 @@ Frame map_frame(Environment map, std::uint64_t number, int camera = 0) {
   return out;
 }
 
+// CRC-32 as zlib has it, bit by bit.
+std::string crc_of(const std::string& text) {
+  std::uint32_t crc = 0xffffffffu;
+  for (const unsigned char c : text) {
+    crc ^= c;
+    for (int k = 0; k < 8; ++k) crc = crc >> 1 ^ (crc & 1 ? 0xedb88320u : 0);
+  }
+  char out[9];
+  std::snprintf(out, sizeof out, "%08x", ~crc);
+  return out;
+}
+
 std::vector<Frame> track_of(const Image<Rgb>& truth, int count = kTrackMaps) {
   std::vector<Frame> out;
   for (int i = 0; i < count; ++i)
@@ -225,6 +237,79 @@ TEST_F(LightTrack, KeyMapsStandAlone) {
   EXPECT_LT(test::irradiance_error(back[5].map->radiance, maps[30].map->radiance), .015);
 }
 
+// Of hours one wants the minute that one asks for.
+TEST_F(LightTrack, AReplayBeginsAnywhere) {
+  const auto maps = track_of(make_room_environment(2 * kTrackRows, kTrackRows), 95);
+  write(maps);
+  auto source = open_recording(path(), RecordedLight::kTrack, Seconds(8.55));
+  ASSERT_TRUE(source) << source.error().detail;
+  const auto first = (*source)->next();
+  ASSERT_TRUE(first && *first);
+  // The key map two seconds before at least.
+  EXPECT_EQ((*first)->time, maps[60].time);
+  EXPECT_LT(test::irradiance_error((*first)->map->radiance, maps[60].map->radiance), .015);
+  EXPECT_FALSE(open_recording(path(), RecordedLight::kTrack, Seconds(-1)));
+  auto behind = open_recording(path(), RecordedLight::kTrack, Seconds(1e6));
+  ASSERT_TRUE(behind);
+  const auto last = (*behind)->next();
+  EXPECT_TRUE(last);
+}
+
+// Without an index, as a killed writer leaves it; with a track that begins late; in the middle.
+TEST_F(LightTrack, PicturesBeginWhereTheyAreAskedFor) {
+  CameraInfo view;
+  view.name = "view";
+  view.role = Role::kView;
+  view.projection = *calib::make_projection(calib::ProjectionKind::kPinhole, 32, 16);
+  view.response = calib::Response::srgb();
+  const auto map = measured_map(make_room_environment(2 * kTrackRows, kTrackRows), 1);
+  const std::vector codings{Coding::kRgb8, Coding::kMap};
+  for (const int first_map : {0, 5, 60}) {
+    for (const bool killed : {false, true}) {
+      fs::remove(path());
+      {
+        auto writer = *RecordingWriter::create(path(), {view, light_track()}, codings, 10);
+        for (int i = 0; i < 90; ++i) {
+          const TimestampNs time = TimestampNs{5'000'000'000} + Seconds(i / 10.);
+          if (i >= first_map) {
+            Frame light = map_frame(map, 0, 1);
+            light.time = time;
+            ASSERT_TRUE(writer.write(light));
+          }
+          ASSERT_TRUE(writer.write(
+              {0,
+               static_cast<std::uint64_t>(i),
+               time,
+               {Seconds(.01), Gain(1)},
+               {},
+               std::make_shared<const FramePixels>(Image<Rgb8>(32, 16, Rgb8{9, 9, 9}))}));
+        }
+        if (!killed) {
+          ASSERT_TRUE(writer.finish());
+        }
+      }
+      for (const double from : {.3, 2.2, 7.9}) {
+        auto source = open_recording(path(), RecordedLight::kTrack, Seconds(from));
+        ASSERT_TRUE(source) << source.error().detail;
+        std::vector<std::uint64_t> views;
+        std::size_t maps_before = 0;
+        for (;;) {
+          const auto frame = (*source)->next();
+          ASSERT_TRUE(frame) << frame.error().detail;
+          if (!*frame) break;
+          if ((*frame)->camera == 0) views.push_back((*frame)->sequence);
+          maps_before += views.empty();
+        }
+        ASSERT_FALSE(views.empty()) << first_map << killed << from;
+        EXPECT_EQ(views.front(), std::lround(10 * from)) << first_map << killed;
+        EXPECT_EQ(views.back(), 89u);
+        EXPECT_EQ(views.size(), 90 - views.front());
+        EXPECT_EQ(maps_before > 0, first_map <= 10 * from) << first_map << killed << from;
+      }
+    }
+  }
+}
+
 TEST_F(LightTrack, LabelsThatNoWriterWritesAreRefused) {
   const auto maps = track_of(make_room_environment(2 * kTrackRows, kTrackRows), 2);
   write(maps);
@@ -236,6 +321,9 @@ TEST_F(LightTrack, LabelsThatNoWriterWritesAreRefused) {
   const auto refused_with = [&](std::size_t from, std::string_view bad) {
     std::string bytes = whole;
     bytes.replace(from, bad.size(), bad);
+    // With its right checksum: what it says is looked at.
+    const auto end = whole.find(';', gain + 1);
+    bytes.replace(end + 1, 8, crc_of(bytes.substr(label, end - label)));
     std::ofstream(path(), std::ios::binary | std::ios::trunc) << bytes;
     const auto source = open_recording(path(), RecordedLight::kTrack);
     return source && !(*source)->next();

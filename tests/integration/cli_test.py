@@ -784,6 +784,18 @@ class Record(CliTest):
             self.assertLess(apart["rel_rmse"], .02, apart)
             plain = self.run_json("compare", self.root / "cameras" / name, folder / "view" / name[6:])
             self.assertGreater(plain["rel_rmse"], 4 * apart["rel_rmse"], "nothing was put in")
+        # A part alone: pictures 8 to 10 of the whole.
+        summary = self.run_json("composite", "--capture", takes["track"], "--scene", folder / "scene.toml",
+                                "--coarse", "--from", 7.6 / 30, "--seconds", .09, "--out", self.root / "part")
+        self.assertEqual(summary["frames"], 3)
+        part = sorted(p.name for p in (self.root / "part").glob("frame_*.png"))
+        self.assertEqual(part, [f"frame_{i:06}.png" for i in range(3)])
+        whole = [self.run_json("compare", self.root / "part" / part[0], self.root / "alone" / f"frame_{i:06}.png")
+                 ["rel_rmse"] for i in range(12)]
+        self.assertEqual(min(range(12), key=whole.__getitem__), 8, whole)
+        for capture in (takes["track"], folder):
+            self.expect_refusal(["--from", "behind the last picture"], "composite", "--capture", capture, "--scene",
+                                folder / "scene.toml", "--coarse", "--from", 1000, "--out", self.root / "none")
         environment = self.run_json("hdr", "environment", takes["track"], "-o", self.root / "of_track.exr")
         self.assertEqual(environment["width"], maps["width"])
         self.expect_refusal(["light_cameras.mkv", "no light track"], "composite", "--capture", takes["cameras"],

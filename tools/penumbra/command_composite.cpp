@@ -25,8 +25,34 @@ struct CompositeOptions {
   std::string capture, scene, output, moves;
   int bands = 5;
   std::string lights = "auto", light = "auto";
+  double from_s = 0, seconds = 0;  // of the capture; 0: to its end
   double max_shadow_error = kDefaultMaxShadowError;
   bool json = false, stills = true, video = true, coarse = false;
+};
+
+// Ends so long behind its first picture; 0: at its end.
+class PartOfCapture final : public capture::FrameSource {
+ public:
+  PartOfCapture(capture::FrameSource& whole, Seconds length) : whole_(whole), length_(length) {}
+  const std::vector<capture::CameraInfo>& cameras() const override { return whole_.cameras(); }
+  double view_rate() const override { return whole_.view_rate(); }
+  int pictures() const { return pictures_; }
+  Result<std::optional<capture::Frame>> next() override {
+    PENUMBRA_ASSIGN(frame, whole_.next());
+    if (!frame) return frame;
+    const auto camera = static_cast<std::size_t>(frame->camera);
+    if (cameras()[camera].role != capture::Role::kView) return frame;
+    if (!begin_) begin_ = frame->time;
+    if (length_.count() > 0 && frame->time - *begin_ >= length_) return std::nullopt;
+    ++pictures_;
+    return frame;
+  }
+
+ private:
+  capture::FrameSource& whole_;
+  Seconds length_;
+  std::optional<TimestampNs> begin_;
+  int pictures_ = 0;
 };
 
 // The first view camera's frames are frame_000000.png; a second eye carries its name.
@@ -69,7 +95,9 @@ Result<void> composite(const CompositeOptions& o) {
   PENUMBRA_ASSIGN(lights, choose_max_lights(o.lights));
   PENUMBRA_TRY(check_max_shadow_error(o.max_shadow_error));
   PENUMBRA_ASSIGN(light, capture::recorded_light(o.light));
-  PENUMBRA_ASSIGN(source, capture::open_capture(o.capture, light));
+  if (!(o.seconds >= 0 && o.seconds < 1e9))
+    return fail(ErrorCode::kInvalid, "--seconds", "is not a number of seconds within 0..1e9");
+  PENUMBRA_ASSIGN(source, capture::open_capture(o.capture, light, Seconds(o.from_s)));
   PENUMBRA_ASSIGN(scene, runtime::read_scene(o.scene));
   const auto& cameras = source->cameras();
   if (const auto usable = Pipeline::check(cameras); !usable)
@@ -105,7 +133,12 @@ Result<void> composite(const CompositeOptions& o) {
     if (eye != in_video.end()) place = {out.source.time, static_cast<int>(eye - in_video.begin())};
     return writer->write(name, out.pixels, place) && !stop;
   };
-  PENUMBRA_ASSIGN(counts, pipeline.replay(*source, write));
+  PartOfCapture part(*source, Seconds(o.seconds));
+  auto replayed = pipeline.replay(part, write);
+  if (!replayed && o.from_s > 0 && part.pictures() == 0)
+    return fail(ErrorCode::kInvalid, "--from",
+                fmt::format("{} s is behind the last picture of {}", o.from_s, o.capture));
+  PENUMBRA_ASSIGN(counts, replayed);
   if (stop) return stopped(o.output);
   PENUMBRA_TRY(writer->finish());
   const nlohmann::json summary =
@@ -133,6 +166,11 @@ void add_composite(CLI::App& parent, Action& action) {
   c->add_option("--out", composite_options.output,
                 "Folder for the frames, the video and the summary")
       ->required();
+  c->add_option("--from", composite_options.from_s,
+                "Begin so many seconds after the first frame; the light is read from two seconds "
+                "before");
+  c->add_option("--seconds", composite_options.seconds,
+                "End so many seconds behind the first picture; 0: at the end");
   c->add_option("--moves", composite_options.moves,
                 "Places of objects over time, a CSV file with the columns "
                 "time_s,object,x_m,y_m,z_m,turn_deg");

@@ -48,7 +48,7 @@ struct MapLabel {
   };
   std::vector<Peak> peaks{};
 };
-/// A label's row, and behind it all else, with a checksum (CRC-32 of IEEE 802.3) at the end.
+/// A label's row, and behind it all else, with a checksum (CRC-32 as zlib has it) at the end.
 std::string print_map_label(const std::string& row, const MapLabel& label);
 struct MapLabelText {
   std::string_view row, rest;

@@ -3,6 +3,7 @@
 
 extern "C" {
 #include <libavutil/error.h>
+#include <libavutil/rational.h>
 }
 
 #include <string>
@@ -16,6 +17,7 @@ inline constexpr std::string_view kResponseSuffix = ".response.toml";
 // Of cameras.toml, where a light track stands beside the cameras: its name and size.
 inline constexpr std::string_view kLightTrack = "light_track";
 inline constexpr int kVersionWithLight = 2;  // of cameras.toml
+inline constexpr AVRational kMilliseconds{1, 1000};
 inline std::string seen_title(const std::string& track) {
   return track + ": seen";
 }
