@@ -131,8 +131,9 @@ TEST(UnpluggedCamera, ItsLightIsToldStaleAndFreshAgainWhenItIsBack) {
   const auto counts = run_live(
       **rig, light, **compose,
       [&](const Output& out) {
-        state.publish(out.light, out.source.time, out.pixels);
+        // Before the picture, whose news the client may read at once.
         state.publish_cameras((*rig)->cameras(), (*rig)->counts());
+        state.publish(out.light, out.source.time, out.pixels);
         while_stale += (out.source.time - out.light.time).count() > kStaleAfter_s;
         return true;
       },
