@@ -20,6 +20,7 @@ namespace penumbra::capture {
 
 namespace {
 
+constexpr float kLargestRadiance = 1e30f;  // sums stay finite
 // Of maps whose mean is far beyond what light is.
 constexpr double kMinExposure = 1e-20, kMaxExposure = 1e20;
 constexpr float kMaxGain = 1.25f;  // more is no rounding, but a black map
@@ -80,8 +81,7 @@ float sum_of(const Rgb& p) {
 // Colour matrices of cameras give negative channels, which neither codes nor labels hold.
 Rgb kept(const Rgb& p) {
   const auto channel = [](float v) {
-    constexpr float kLargest = 1e30f;
-    return v > 0 && std::isfinite(v) ? std::min(v, kLargest) : 0;
+    return v > 0 && std::isfinite(v) ? std::min(v, kLargestRadiance) : 0;
   };
   return {channel(p.r), channel(p.g), channel(p.b)};
 }
@@ -135,12 +135,9 @@ Result<AvCodec> open_decoder(const AVCodecParameters& of) {
   return out;
 }
 
-struct FreeParameters {
-  void operator()(AVCodecParameters* p) const { avcodec_parameters_free(&p); }
-};
-Result<std::unique_ptr<AVCodecParameters, FreeParameters>> parameters_of(
-    const AVCodecContext& coder) {
-  std::unique_ptr<AVCodecParameters, FreeParameters> out(avcodec_parameters_alloc());
+using AvParameters = std::unique_ptr<AVCodecParameters, AvFreed<avcodec_parameters_free>>;
+Result<AvParameters> parameters_of(const AVCodecContext& coder) {
+  AvParameters out(avcodec_parameters_alloc());
   if (const int r = avcodec_parameters_from_context(out.get(), &coder); r < 0)
     return fail(ErrorCode::kUnavailable, "light", av_reason(r));
   return out;
@@ -260,10 +257,6 @@ Rgb gains_of(const Image<Rgb>& truth, const AVFrame& decoded, const AVFrame& see
   return out;
 }
 
-}  // namespace
-
-namespace {
-
 std::string checksum(std::string_view text) {
   const auto* bytes = reinterpret_cast<const std::uint8_t*>(text.data());
   return fmt::format("{:08x}",
@@ -293,7 +286,7 @@ namespace {
 bool read_colour(const char* at, const char* end, Rgb& out) {
   for (int c = 0; c < 3; ++c) {
     const auto read = std::from_chars(at, end, out[c]);
-    if (read.ec != std::errc{} || !std::isfinite(out[c]) || out[c] < 0) return false;
+    if (read.ec != std::errc{} || !(out[c] >= 0 && out[c] <= kLargestRadiance)) return false;
     at = read.ptr;
     if (c < 2 && (at == end || *at++ != ' ')) return false;
   }

@@ -118,8 +118,8 @@ Result<void> LightTrackSource::measure(const capture::Frame& frame) {
   if (!assembled && assembled.error().code == ErrorCode::kUndetermined) return {};
   PENUMBRA_TRY(assembled);
   if (!stage_.ready()) return {};
-  Environment map = stage_.environment();
-  for (int i = 0; i < halvings_; ++i) map = halved(map);
+  Environment map = halvings_ > 0 ? halved(stage_.environment()) : stage_.environment();
+  for (int i = 1; i < halvings_; ++i) map = halved(map);
   map.time = frame.time;
   capture::Frame& out = map_.emplace();
   out.camera = static_cast<int>(cameras_.size()) - 1;
@@ -180,7 +180,10 @@ Result<std::unique_ptr<capture::FrameSource>> with_light_track(capture::FrameSou
   // A ball that comes nearer must not make the maps larger.
   const int seen = rows_seen(cameras);
   int rows = std::clamp(seen > 0 ? seen : kLightTrackRows, kMin, kMax) / 2 * 2, halvings = 0;
-  for (; rows > max_rows; rows = std::max(kMin, rows / 4 * 2)) ++halvings;
+  // A track's maps come with the rows that they have, which only halve where they are even.
+  const bool of_track = std::ranges::any_of(cameras, &capture::CameraInfo::gives_maps);
+  for (; rows > max_rows && (!of_track || rows % 4 == 0); rows = std::max(kMin, rows / 4 * 2))
+    ++halvings;
   stage.fix_rows(rows << halvings);
   return std::make_unique<LightTrackSource>(source, std::move(times), std::move(stage), keep, rows,
                                             halvings);

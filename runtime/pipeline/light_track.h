@@ -27,7 +27,8 @@ inline constexpr int kLightTrackRows = 128;
 
 /// The source's frames, and behind each of the surroundings the map as it is then. The track is the
 /// last of the cameras. With kTrack the frames that show the surroundings alone are left out.
-/// in:     source: outlives this. max_rows: finer maps are averaged down, by halves
+/// in:     source: outlives this. max_rows: finer maps are averaged down, by halves; those of a
+///         track that the source has only as often as their rows are even
 /// errors: kInvalid (no camera shows the surroundings, max_rows not within 16..1024)
 /// next(): as source's and LightEstimationStage::assemble's
 Result<std::unique_ptr<capture::FrameSource>> with_light_track(capture::FrameSource& source,

@@ -116,6 +116,20 @@ TEST(LightTrackSource, ATrackOfATrackIsOneTrack) {
     EXPECT_EQ(again->cameras()[1].projection.height, 32);
     EXPECT_EQ(order_of(*again).substr(0, 4), "vlvl");
   }
+  // 172 x 86 pixels do not halve into even rows.
+  FilmedRoom odd;
+  odd.options.environment_width = 172, odd.options.environment_height = 86;
+  for (const int rows : {86, 43}) {
+    capture::Studio studio(odd.world, odd.options);
+    auto track = *with_light_track(studio, KeptLight::kTrack, 86);
+    auto again = *with_light_track(*track, KeptLight::kTrack, rows);
+    const int promised = again->cameras().back().projection.height;
+    for (;;)
+      if (auto frame = *again->next(); frame->map) {
+        EXPECT_EQ(frame->map->radiance.height(), promised) << rows;
+        break;
+      }
+  }
 }
 
 TEST(LightTrackSource, AnEstimateFromTheRecordedTrackIsTheCameras) {

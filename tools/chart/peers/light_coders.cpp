@@ -8,6 +8,7 @@
 #include <memory>
 
 #include "codec/log_luv.h"
+#include "tools/chart/peers/internal/ffmpeg_owned.h"
 
 extern "C" {
 #include <libavcodec/avcodec.h>
@@ -17,17 +18,6 @@ extern "C" {
 namespace penumbra::tools {
 
 namespace {
-
-template <auto Free>
-struct FreedBy {
-  template <class T>
-  void operator()(T* p) const {
-    Free(&p);
-  }
-};
-using CoderContext = std::unique_ptr<AVCodecContext, FreedBy<avcodec_free_context>>;
-using PictureOwner = std::unique_ptr<AVFrame, FreedBy<av_frame_free>>;
-using PacketOwner = std::unique_ptr<AVPacket, FreedBy<av_packet_free>>;
 
 std::span<std::uint16_t> line(const AVFrame& f, int plane, int y, int width) {
   return {reinterpret_cast<std::uint16_t*>(f.data[plane] + y * f.linesize[plane]),
@@ -160,7 +150,7 @@ class LightVideo {
   }
 
   Result<void> add(const Image<Rgb>& map, CodedLight& out) {
-    const PictureOwner picture(av_frame_alloc());
+    const FramePointer picture(av_frame_alloc());
     picture->format = codes_.format();
     picture->width = width_, picture->height = height_;
     picture->pts = next_++;
@@ -181,7 +171,7 @@ class LightVideo {
   }
   Result<void> encode(const AVFrame* picture, CodedLight& out) {
     if (avcodec_send_frame(encoder_.get(), picture) < 0) return unavailable("refuses a map");
-    const PacketOwner packet(av_packet_alloc());
+    const OwnedPacket packet(av_packet_alloc());
     while (avcodec_receive_packet(encoder_.get(), packet.get()) == 0) {
       out.bytes += static_cast<std::size_t>(packet->size);
       if (avcodec_send_packet(decoder_.get(), packet.get()) < 0)
@@ -192,7 +182,7 @@ class LightVideo {
     return {};
   }
   void decode(CodedLight& out) {
-    const PictureOwner picture(av_frame_alloc());
+    const FramePointer picture(av_frame_alloc());
     while (avcodec_receive_frame(decoder_.get(), picture.get()) == 0)
       out.maps.push_back(codes_.read(*picture, width_, height_));
   }
@@ -200,7 +190,7 @@ class LightVideo {
   LightCoder coder_;
   PixelCodes codes_;
   int width_, height_;
-  CoderContext encoder_, decoder_;
+  Codec encoder_, decoder_;
   std::int64_t next_ = 0;
 };
 

@@ -12,6 +12,7 @@
 #include <memory>
 
 #include "core/half.h"
+#include "tools/chart/peers/internal/ffmpeg_owned.h"
 
 extern "C" {
 #include <libavcodec/avcodec.h>
@@ -94,17 +95,6 @@ Result<CodedMaps> code_as_exr(std::span<const Image<float>> maps, int layers, fl
 }
 
 namespace {
-
-template <auto Free>
-struct Freed {
-  template <class T>
-  void operator()(T* p) const {
-    Free(&p);
-  }
-};
-using Codec = std::unique_ptr<AVCodecContext, Freed<avcodec_free_context>>;
-using FramePointer = std::unique_ptr<AVFrame, Freed<av_frame_free>>;
-using OwnedPacket = std::unique_ptr<AVPacket, Freed<av_packet_free>>;
 
 constexpr float kLargestCode = 1023;
 
