@@ -21,6 +21,8 @@ find_package(PkgConfig REQUIRED)
 pkg_check_modules(Eigen3 REQUIRED IMPORTED_TARGET eigen3)
 pkg_check_modules(Exif REQUIRED IMPORTED_TARGET libexif)
 pkg_check_modules(TurboJPEG REQUIRED IMPORTED_TARGET libturbojpeg)
+pkg_check_modules(OpenJpeg REQUIRED IMPORTED_TARGET libopenjp2)
+find_library(OPENJPH openjph REQUIRED)  # its .pc names no library
 # Its header alone: prt/bake/internal/tinygltf.h says why.
 pkg_check_modules(TinyGLTF REQUIRED tinygltf)
 pkg_check_modules(FFmpeg REQUIRED IMPORTED_TARGET libavformat libavcodec libavutil libswscale)

@@ -27,6 +27,7 @@
 #include "codec/internal/colour.h"
 #include "codec/internal/formats.h"
 #include "codec/internal/frame_header.h"
+#include "codec/log_jpeg2000.h"
 #include "core/io/files.h"
 
 namespace penumbra::codec {
@@ -336,9 +337,10 @@ Result<HdrImage> decode_exr(Bytes bytes, const std::string& name) {
 Result<HdrImage> decode_hdr(Bytes bytes, const std::string& name) {
   if (is_exr(bytes)) return decode_exr(bytes, name);
   if (is_jpeg(bytes)) return decode_gain_map_jpeg(bytes, name);
+  if (is_jpeg2000(bytes)) return decode_log_jpeg2000(bytes, name);
   if (is_radiance(bytes)) return decode_radiance(bytes, name);
   return fail(ErrorCode::kUnreadable, name,
-              "is neither OpenEXR, Radiance HDR nor a JPEG with a gain map");
+              "is neither OpenEXR, Radiance HDR, JPEG 2000 nor a JPEG with a gain map");
 }
 
 Result<HdrImage> read_hdr(const std::filesystem::path& path) {

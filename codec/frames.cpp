@@ -9,6 +9,7 @@
 #include "codec/codec.h"
 #include "codec/internal/formats.h"
 #include "codec/internal/frame_header.h"
+#include "codec/log_jpeg2000.h"
 #include "core/io/files.h"
 
 namespace penumbra::codec {
@@ -103,7 +104,7 @@ Result<FramePixels> read_frame(const std::filesystem::path& path) {
   const std::string name = path.string();
   // Radiance last: its magic may stand anywhere in the first lines, by chance even in a PNG.
   const bool coded = is_png(bytes) || is_jpeg(bytes) || is_tiff(bytes);
-  if (!coded && (is_exr(bytes) || is_radiance(bytes))) {
+  if (!coded && (is_exr(bytes) || is_jpeg2000(bytes) || is_radiance(bytes))) {
     PENUMBRA_ASSIGN(hdr, decode_hdr(bytes, name));
     return std::move(hdr.pixels);
   }

@@ -106,6 +106,8 @@ TABLES = {
         "render": ["tools/penumbra/command_render.cpp: print_json("],
         "record": [f"{RECORD} > return"],
         "tonemap": ["tools/penumbra/command_tonemap.cpp: print_json("],
+        "encode": ['tools/penumbra/command_encode.cpp: print_json({{"width", pixels'],
+        "decode": ['tools/penumbra/command_encode.cpp: print_json({{"width", input'],
         "bake": [BAKE, CLIP + ': print_json({{"clip" - ' + BAKE],
         "hdr merge and hdr environment": [f"{MERGE} + {ENVIRONMENT}: print_json("],
         "light estimate": ["tools/penumbra/command_light.cpp: if (o.json) - lights residual"],

@@ -1,11 +1,12 @@
 #!/usr/bin/env python3
-"""Proves that a case compiles without -DWRONG, does not with it, and fails for the stated reason.
+"""Proves that each case compiles without -DWRONG, does not with it, and fails for the stated reason.
 
-usage: check.py COMPILER INCLUDE_FOLDER CASE.cpp   or   check.py COMPILER --self-test
+usage: check.py COMPILER INCLUDE_FOLDER CASE.cpp...   or   check.py COMPILER --self-test
 
 A case holds its mistake between `#ifdef WRONG` and the next `#else` or `#endif`; the compiler's
-first error must point at a line there. Each comment `// expect: TEXT` names a text that the errors
-must hold: a type, since the wording around it differs between compilers.
+first error in it must point at a line there. Each comment `// expect: TEXT` names a text that its
+errors must hold: a type, since the wording around it differs between compilers. All cases are
+compiled together, each in a namespace of its own, as their headers take most of the time.
 """
 import os
 import re
@@ -15,9 +16,20 @@ import tempfile
 from pathlib import Path
 
 
-def compile_case(compiler, include, case, *flags):
-    command = [compiler, "-std=c++23", "-fsyntax-only", f"-I{include}", *flags, str(case)]
-    done = subprocess.run(command, capture_output=True, text=True, env=os.environ | {"LC_ALL": "C"})
+def compile_together(compiler, include, cases, *flags):
+    """The compiler's status and what it says, in the places of the cases' own lines."""
+    headers, bodies = [], []
+    for number, case in enumerate(cases):
+        body = []
+        for line in case.read_text().splitlines():
+            is_include = line.startswith("#include")
+            if is_include and line not in headers:
+                headers.append(line)
+            body.append("" if is_include else line)
+        bodies += [f"namespace case_{number} {{", f'#line 1 "{case}"', *body, "}"]
+    command = [compiler, "-std=c++23", "-fsyntax-only", "-fmax-errors=0", f"-I{include}", *flags, "-x", "c++", "-"]
+    done = subprocess.run(command, input="\n".join(headers + bodies) + "\n", capture_output=True, text=True,
+                          env=os.environ | {"LC_ALL": "C"})
     return done.returncode, done.stdout + done.stderr
 
 
@@ -33,27 +45,42 @@ def wrong_lines(text):
     return lines
 
 
-def complaint(compiler, include, case):
+def messages_of(output):
+    """Errors, each with its notes: file, line, and all their texts. Without the source lines that the
+    compiler quotes: they carry the expectation itself."""
+    found = []
+    for file, line, kind, text in re.findall(r"^(.+?):(\d+):(?:\d+:)? (error|note): (.*)$", output, re.MULTILINE):
+        if kind == "error":
+            found.append((file, int(line), [text]))
+        elif found:
+            found[-1][2].append(text)
+    return found
+
+
+def complaint_of(case, errors, output):
     """None when the case holds, else what is wrong with it."""
     text = case.read_text()
     expected = re.findall(r"//\s*expect:\s*(.*\S)", text)
     if not expected or not wrong_lines(text):
         return "has no `// expect:` or nothing under `#ifdef WRONG`"
-    status, output = compile_case(compiler, include, case)
-    if status != 0:
-        return f"the right form does not compile:\n{output}"
-    status, output = compile_case(compiler, include, case, "-DWRONG")
-    if status == 0:
+    own = [(line, texts) for file, line, texts in errors if Path(file).name == case.name]
+    if not own:
         return "the wrong form compiles"
-    # Without the source lines that the compiler quotes: they carry the expectation itself.
-    messages = re.findall(r"^(.+?):(\d+):(?:\d+:)? (error|note): (.*)$", output, re.MULTILINE)
-    errors = [(Path(file).name, int(line)) for file, line, kind, _ in messages if kind == "error"]
-    if not errors or errors[0][0] != case.name or errors[0][1] not in wrong_lines(text):
+    if own[0][0] not in wrong_lines(text):
         return f"the wrong form fails elsewhere:\n{output}"
-    missing = [e for e in expected if not any(e in message for *_, message in messages)]
+    missing = [e for e in expected if not any(e in message for _, texts in own for message in texts)]
     if missing:
         return f"the wrong form's errors do not mention {missing}:\n{output}"
     return None
+
+
+def complaints(compiler, include, cases):
+    status, output = compile_together(compiler, include, cases)
+    if status != 0:
+        return [f"the right forms do not compile:\n{output}"]
+    _, output = compile_together(compiler, include, cases, "-DWRONG")
+    errors = messages_of(output)
+    return [f"{case}: {why}" for case in cases if (why := complaint_of(case, errors, output)) is not None]
 
 
 def self_test(compiler):
@@ -71,26 +98,29 @@ def self_test(compiler):
     }
     failed = []
     with tempfile.TemporaryDirectory() as folder:
-        case = Path(folder) / "case.cpp"
+        case, beside = Path(folder) / "case.cpp", Path(folder) / "beside.cpp"
         case.write_text(good)
-        if (why := complaint(compiler, folder, case)) is not None:
-            failed.append(f"good case refused: {why}")
+        beside.write_text(good)
+        if why := complaints(compiler, folder, [beside, case]):
+            failed.append(f"good cases refused: {why}")
         for name, text in bad.items():
             case.write_text(text)
-            if complaint(compiler, folder, case) is None:
+            # Beside one that fails as it should, which must not stand for it.
+            why = complaints(compiler, folder, [beside, case])
+            if not why or (name != "right form does not compile" and not why[0].startswith(str(case))):
                 failed.append(f"accepted: {name}")
-    return "\n".join(failed) or None
+    return failed
 
 
 def main(arguments):
     if len(arguments) == 2 and arguments[1] == "--self-test":
         why = self_test(arguments[0])
-    elif len(arguments) == 3:
-        why = complaint(arguments[0], arguments[1], Path(arguments[2]))
+    elif len(arguments) > 2:
+        why = complaints(arguments[0], arguments[1], [Path(case) for case in arguments[2:]])
     else:
-        why = __doc__
-    if why:
-        print(f"{arguments[-1] if arguments else 'check.py'}: {why}", file=sys.stderr)
+        why = [__doc__]
+    for line in why:
+        print(line, file=sys.stderr)
     return 1 if why else 0
 
 

@@ -498,6 +498,49 @@ class Files(CliTest):
         self.expect_refusal(["even.hdr"], "compare", self.root / "even.hdr", self.root / "a.png")
 
 
+class Encode(CliTest):
+    @classmethod
+    def make_files(cls):
+        files.write_sun_hdr(cls.root / "sun.hdr", 128, 64, 20000)
+
+    def test_a_sky_that_is_coded_lights_as_the_one_that_is_not(self):
+        sky = self.root / "sun.hdr"
+        for name in ("sun.jph", "sun.jp2"):
+            coded = self.root / name
+            report = self.run_json("encode", sky, "-o", coded, "--error", 2)
+            self.assertEqual(report["bytes"], coded.stat().st_size)
+            self.assertLess(report["bytes"], sky.stat().st_size / 10)
+            self.assertLessEqual(report["luminance_error_percent"], 2)
+            self.assertEqual(self.run_json("inspect", coded)["kind"], "HDR picture")
+            light, truth = (self.run_json("light", "estimate", path, "--bands", 3) for path in (coded, sky))
+            for own, true in zip(light["coefficients"], truth["coefficients"]):
+                for channel, value in zip(own, true):
+                    self.assertAlmostEqual(channel, value, delta=0.03 * abs(truth["coefficients"][0][0]))
+            back = self.root / "back.exr"
+            self.run_json("decode", coded, "-o", back)
+            self.assertLess(self.run_json("compare", back, coded)["log10_rmse"], 1e-5)
+            self.assertLess(self.run_json("compare", coded, sky)["log10_rmse"], 0.0087)
+
+    def test_size_and_exactness_are_kept(self):
+        out = self.root / "small.jph"
+        self.assertLessEqual(self.run_json("encode", self.root / "sun.hdr", "-o", out, "--size-kb", 1.2)["bytes"], 1200)
+        exact = self.run_json("encode", self.root / "sun.hdr", "-o", out, "--error", 0.1, "--every-pixel")
+        self.assertLess(exact["luminance_error_percent"], 0.1)
+
+    def test_bad_input_is_one_line_and_leaves_nothing(self):
+        sun, out = self.root / "sun.hdr", self.root / "bad.jph"
+        for words, arguments in ((["bad.png", ".jph", ".jp2"], [sun, "-o", self.root / "bad.png"]),
+                                 (["none.hdr"], [self.root / "none.hdr", "-o", out]),
+                                 (["--error"], [sun, "-o", out, "--error", 0]),
+                                 (["--size-kb", "bytes at least"], [sun, "-o", out, "--size-kb", 0.1]),
+                                 (["--size-kb", "--every-pixel"], [sun, "-o", out, "--size-kb", 9, "--every-pixel"])):
+            self.expect_refusal(words, "encode", *arguments)
+        self.run_json("encode", sun, "-o", self.root / "whole.jph")
+        (self.root / "cut.jph").write_bytes((self.root / "whole.jph").read_bytes()[:-40])
+        self.expect_refusal(["cut.jph", "truncated"], "decode", self.root / "cut.jph", "-o", self.root / "bad.exr")
+        self.assertEqual(list(self.root.glob("bad*")), [])
+
+
 class Tonemap(CliTest):
     OPERATORS = ("level-set", "photographic", "photographic-local", "bilateral", "filmic")
 

@@ -110,7 +110,8 @@ Result<void> tonemap(TonemapOptions o) {
 void add_tonemap(CLI::App& parent, Action& action) {
   static TonemapOptions o;
   auto* c = parent.add_subcommand("tonemap", "Show an HDR picture on an ordinary display");
-  c->add_option("input", o.input, "HDR picture: .exr, .hdr, or .jpg with a gain map")->required();
+  c->add_option("input", o.input, "HDR picture: .exr, .hdr, .jph, .jp2, or .jpg with a gain map")
+      ->required();
   c->add_option("-o,--output", o.output, "Picture to write: PNG, JPEG or TIFF")->required();
   c->add_option("--operator", o.op,
                 "level-set, photographic, photographic-local, bilateral or filmic")

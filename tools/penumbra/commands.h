@@ -14,6 +14,8 @@ void add_render(CLI::App& parent, Action& action);
 void add_composite(CLI::App& parent, Action& action);
 void add_serve(CLI::App& parent, Action& action);
 void add_tonemap(CLI::App& parent, Action& action);
+void add_encode(CLI::App& parent, Action& action);
+void add_decode(CLI::App& parent, Action& action);
 void add_record(CLI::App& parent, Action& action);
 
 }  // namespace penumbra::tools

@@ -58,6 +58,8 @@ void add_commands(CLI::App& app, Action& action) {
   add_hdr_merge(*hdr, action);
   add_hdr_environment(*hdr, action);
   add_tonemap(app, action);
+  add_encode(app, action);
+  add_decode(app, action);
   CLI::App* light = app.add_subcommand("light", "Measure the light of an environment");
   light->require_subcommand(1);
   add_light_estimate(*light, action);

@@ -1,0 +1,217 @@
+#include "codec/log_jpeg2000.h"
+
+#include <algorithm>
+#include <array>
+#include <bit>
+#include <cmath>
+#include <cstdint>
+#include <cstring>
+#include <optional>
+#include <string_view>
+
+#include "codec/internal/formats.h"
+#include "codec/internal/goal_search.h"
+#include "codec/internal/light_planes.h"
+#include "codec/internal/wavelets.h"
+
+namespace penumbra::codec {
+
+namespace {
+
+constexpr double kFinestStepsPerStop = 2048;
+constexpr std::array<unsigned char, 12> kSignature{0,   0,   0,  12,   'j',  'P',
+                                                   ' ', ' ', 13, '\n', 0x87, '\n'};
+// Of the box that says what the planes stand for: lowest stop and steps per stop, as float.
+constexpr std::array<unsigned char, 16> kScaleId{0xa3, 0x46, 0x79, 0x4f, 0xc2, 0xdf, 0x45, 0x9f,
+                                                 0xa7, 0x4d, 0x73, 0x57, 0x3b, 0x81, 0xe6, 0x5b};
+constexpr std::size_t kBoxHead = 8, kScaleBytes = 8;
+
+class BoxWriter {
+ public:
+  void number(std::uint32_t v) {
+    for (int shift = 24; shift >= 0; shift -= 8)
+      out_.push_back(static_cast<unsigned char>(v >> shift));
+  }
+  void bytes(std::span<const unsigned char> v) { out_.insert(out_.end(), v.begin(), v.end()); }
+  void box(std::string_view type, std::span<const unsigned char> content) {
+    number(static_cast<std::uint32_t>(kBoxHead + content.size()));
+    out_.insert(out_.end(), type.begin(), type.end());
+    bytes(content);
+  }
+  std::vector<unsigned char> take() { return std::move(out_); }
+
+ private:
+  std::vector<unsigned char> out_;
+};
+
+std::vector<unsigned char> scale_content(const LightScale& scale, std::size_t padding) {
+  BoxWriter w;
+  w.bytes(kScaleId);
+  w.number(std::bit_cast<std::uint32_t>(static_cast<float>(scale.lowest_stop)));
+  w.number(std::bit_cast<std::uint32_t>(static_cast<float>(scale.steps_per_stop)));
+  std::vector<unsigned char> out = w.take();
+  out.resize(out.size() + padding);
+  return out;
+}
+
+std::vector<unsigned char> header_content(int width, int height) {
+  constexpr std::uint32_t kSycc = 18;
+  BoxWriter size;
+  size.number(static_cast<std::uint32_t>(height));
+  size.number(static_cast<std::uint32_t>(width));
+  // Planes, their bits less one, compression 7, a known colour space, no rights.
+  size.bytes(std::array<unsigned char, 6>{0, kPlanes, kPlaneBits - 1, 7, 0, 0});
+  BoxWriter colour;
+  colour.bytes(std::array<unsigned char, 3>{1, 0, 0});
+  colour.number(kSycc);
+  BoxWriter out;
+  out.box("ihdr", size.take());
+  out.box("colr", colour.take());
+  return out.take();
+}
+
+std::vector<unsigned char> file_of(const LightPlanes& planes,
+                                   std::span<const unsigned char> codestream, WaveletCoder coder) {
+  const std::string_view brand = coder == WaveletCoder::kFast ? "jph " : "jp2 ";
+  BoxWriter type;
+  type.bytes({reinterpret_cast<const unsigned char*>(brand.data()), brand.size()});
+  type.number(0);
+  type.bytes({reinterpret_cast<const unsigned char*>(brand.data()), brand.size()});
+  const std::size_t least = min_codestream_bytes(planes.width, planes.height);
+  BoxWriter out;
+  out.bytes(kSignature);
+  out.box("ftyp", type.take());
+  out.box("jp2h", header_content(planes.width, planes.height));
+  out.box("uuid",
+          scale_content(planes.scale, least > codestream.size() ? least - codestream.size() : 0));
+  out.box("jp2c", codestream);
+  return out.take();
+}
+
+struct Boxes {
+  Bytes codestream;
+  std::optional<LightScale> scale;
+};
+
+std::uint32_t number_at(Bytes bytes, std::size_t at) {
+  std::uint32_t out = 0;
+  for (std::size_t i = 0; i < 4; ++i) out = out << 8 | bytes[at + i];
+  return out;
+}
+
+std::optional<LightScale> read_scale(Bytes content) {
+  if (content.size() < kScaleId.size() + kScaleBytes ||
+      !std::ranges::equal(content.first(kScaleId.size()), kScaleId))
+    return {};
+  const float lowest = std::bit_cast<float>(number_at(content, kScaleId.size())),
+              steps = std::bit_cast<float>(number_at(content, kScaleId.size() + 4));
+  // What floats can hold, and planes of 16 bits.
+  if (!(std::abs(lowest) < 160) || !(steps >= .01f && steps <= 65536)) return {};
+  return LightScale{lowest, steps};
+}
+
+Result<Boxes> read_boxes(Bytes bytes, const std::string& name) {
+  Boxes out;
+  std::size_t at = 0;
+  while (at + kBoxHead <= bytes.size() && out.codestream.empty()) {
+    std::uint64_t length = number_at(bytes, at);
+    std::size_t head = kBoxHead;
+    const std::string_view type(reinterpret_cast<const char*>(bytes.data()) + at + 4, 4);
+    if (length == 1 && at + 16 <= bytes.size()) {
+      length = std::uint64_t{number_at(bytes, at + 8)} << 32 | number_at(bytes, at + 12);
+      head = 16;
+    }
+    if (length == 0) length = bytes.size() - at;  // the last one may go to the end
+    if (length < head || length > bytes.size() - at)
+      return fail(ErrorCode::kUnreadable, name, "is truncated: a box ends beyond its bytes");
+    const Bytes content = bytes.subspan(at + head, static_cast<std::size_t>(length) - head);
+    if (type == "jp2c") out.codestream = content;
+    if (type == "uuid" && !out.scale) out.scale = read_scale(content);
+    at += static_cast<std::size_t>(length);
+  }
+  if (out.codestream.empty())
+    return fail(ErrorCode::kUnreadable, name, "is truncated: it has no codestream");
+  return out;
+}
+
+Result<std::vector<unsigned char>> encode_planes(const LightPlanes& planes, double coarseness,
+                                                 WaveletCoder coder) {
+  PENUMBRA_ASSIGN(codestream, coder == WaveletCoder::kFast
+                                  ? encode_fast_wavelets(planes, coarseness)
+                                  : encode_small_wavelets(planes, coarseness));
+  return file_of(planes, codestream, coder);
+}
+
+// With the picture that a reader gets, measured.
+Result<CodedStill> encode_measured(const Image<Rgb>& radiance, const LightPlanes& planes,
+                                   double coarseness, WaveletCoder coder) {
+  CodedStill out;
+  PENUMBRA_ASSIGN(bytes, encode_planes(planes, coarseness, coder));
+  out.bytes = std::move(bytes);
+  PENUMBRA_ASSIGN(back, decode_log_jpeg2000(out.bytes, "picture"));
+  out.deviation = deviation_of(radiance, back.pixels, planes.scale);
+  return out;
+}
+
+WaveletCoder coder_for(const Image<Rgb>& radiance, WaveletCoder wished) {
+  const bool is_small = std::min(radiance.width(), radiance.height()) < kMinFastSide;
+  return is_small ? WaveletCoder::kSmall : wished;
+}
+
+Result<void> check_picture(const Image<Rgb>& radiance, const StillGoal& goal) {
+  if (radiance.empty()) return fail(ErrorCode::kInvalid, "picture", "has no pixels");
+  PENUMBRA_TRY(check_size(radiance.width(), radiance.height(), "picture"));
+  return check_goal(goal);
+}
+
+}  // namespace
+
+Result<CodedStill> encode_log_jpeg2000(const Image<Rgb>& radiance, const StillGoal& goal,
+                                       WaveletCoder coder) {
+  PENUMBRA_TRY(check_picture(radiance, goal));
+  coder = coder_for(radiance, coder);
+  PENUMBRA_ASSIGN(planes, planes_from_rgb(radiance, kFinestStepsPerStop));
+  const auto encode = [&](double coarseness) {
+    return encode_measured(radiance, planes, coarseness, coder);
+  };
+  if (coder == WaveletCoder::kFast) return search_goal(goal, 2e-5, .5, .006, encode);
+  const double raw = 2. * kPlanes * static_cast<double>(radiance.area());
+  const double first = goal.max_bytes > 0 ? raw / static_cast<double>(goal.max_bytes) : 12;
+  const double most = std::max(2., raw / 64);
+  return search_goal(goal, 1.01, most, std::clamp(first * 1.01, 1.01, most), encode);
+}
+
+Result<CodedStill> encode_log_jpeg2000_exactly(const Image<Rgb>& radiance, const StillGoal& goal,
+                                               WaveletCoder coder) {
+  PENUMBRA_TRY(check_picture(radiance, goal));
+  if (goal.max_bytes > 0)
+    return fail(ErrorCode::kInvalid, "goal", "has a size, but what is exact takes what it takes");
+  // Half a step off at most, less what floats round.
+  const double steps = std::log10(2.) / (2 * goal.deviation) * 1.01;
+  PENUMBRA_ASSIGN(planes, planes_from_rgb(radiance, steps));
+  if (planes.scale.steps_per_stop < steps)
+    return fail(ErrorCode::kUndetermined, "goal",
+                "cannot be met: the picture's range leaves too few of 16 bits");
+  return encode_measured(radiance, planes, 0, coder_for(radiance, coder));
+}
+
+bool is_jpeg2000(Bytes bytes) {
+  return bytes.size() >= kSignature.size() &&
+         std::ranges::equal(bytes.first(kSignature.size()), kSignature);
+}
+
+Result<HdrImage> decode_log_jpeg2000(Bytes bytes, const std::string& name) {
+  if (!is_jpeg2000(bytes)) return fail(ErrorCode::kUnreadable, name, "is not a JP2 or JPH file");
+  PENUMBRA_ASSIGN(boxes, read_boxes(bytes, name));
+  if (!boxes.scale)
+    return fail(ErrorCode::kUnreadable, name,
+                "is a JPEG 2000 picture that does not say how bright its numbers are");
+  PENUMBRA_ASSIGN(planes, decode_wavelets(boxes.codestream, name));
+  planes.scale = *boxes.scale;
+  HdrImage out;
+  out.pixels = rgb_from_planes(planes);
+  out.non_finite = count_non_finite(out.pixels.pixels());
+  return out;
+}
+
+}  // namespace penumbra::codec

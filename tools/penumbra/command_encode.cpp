@@ -1,0 +1,146 @@
+// encode and decode: HDR stills that take little and lose what is not seen.
+#include <fmt/format.h>
+#include <CLI/CLI.hpp>
+
+#include <algorithm>
+#include <cctype>
+#include <cmath>
+#include <filesystem>
+#include <optional>
+#include <string>
+
+#include "codec/codec.h"
+#include "codec/log_jpeg2000.h"
+#include "core/io/files.h"
+#include "core/io/log.h"
+#include "tools/common/command.h"
+#include "tools/common/print.h"
+#include "tools/penumbra/commands.h"
+
+namespace penumbra::tools {
+
+namespace {
+
+struct EncodeOptions {
+  std::string input, output;
+  double error_percent = 2;
+  std::optional<double> size_kb;
+  bool every_pixel = false, json = false;
+};
+
+struct DecodeOptions {
+  std::string input, output;
+  bool json = false;
+};
+
+constexpr double kBytesPerKb = 1000;
+
+Result<codec::WaveletCoder> coder_by_name(const std::string& path) {
+  std::string extension = std::filesystem::path(path).extension();
+  std::ranges::transform(extension, extension.begin(),
+                         [](unsigned char c) { return std::tolower(c); });
+  if (extension == ".jph") return codec::WaveletCoder::kFast;
+  if (extension == ".jp2") return codec::WaveletCoder::kSmall;
+  return fail(ErrorCode::kInvalid, path, "ends neither in .jph nor in .jp2");
+}
+
+codec::StillGoal goal_of(const EncodeOptions& o) {
+  codec::StillGoal goal;
+  goal.deviation = std::log10(1 + o.error_percent / 100);
+  if (o.size_kb) goal.max_bytes = static_cast<std::size_t>(*o.size_kb * kBytesPerKb);
+  return goal;
+}
+
+void report_encoded(const EncodeOptions& o, const Image<Rgb>& pixels,
+                    const codec::CodedStill& coded) {
+  const double bits = 8. * static_cast<double>(coded.bytes.size()) / double(pixels.area());
+  const double error = 100 * (std::pow(10, coded.deviation) - 1);
+  if (o.json) {
+    print_json({{"width", pixels.width()},
+                {"height", pixels.height()},
+                {"bytes", coded.bytes.size()},
+                {"bits_per_pixel", bits},
+                {"log10_luminance_rms", coded.deviation},
+                {"luminance_error_percent", error}});
+    return;
+  }
+  fmt::print("{}: {}x{}, {:.1f} KB, {:.2f} bits a pixel, luminance off by {:.3g} % (RMS)\n",
+             o.output, pixels.width(), pixels.height(), double(coded.bytes.size()) / kBytesPerKb,
+             bits, error);
+}
+
+Result<void> encode(const EncodeOptions& o) {
+  if (o.every_pixel && o.size_kb)
+    return fail(ErrorCode::kInvalid, "--size-kb",
+                "does not go with --every-pixel, which takes what it takes");
+  PENUMBRA_ASSIGN(coder, coder_by_name(o.output));
+  PENUMBRA_TRY(check_writable(o.output));
+  PENUMBRA_ASSIGN(input, codec::read_hdr(o.input));
+  const auto is_part = [](float a) { return a < 1; };
+  if (std::ranges::any_of(input.alpha.pixels(), is_part))
+    log_warning("{}: its alpha, which says what was seen, is not kept", o.input);
+  const codec::StillGoal goal = goal_of(o);
+  const auto coded = o.every_pixel ? codec::encode_log_jpeg2000_exactly(input.pixels, goal, coder)
+                                   : codec::encode_log_jpeg2000(input.pixels, goal, coder);
+  if (!coded) {
+    const bool of_goal = coded.error().where == "goal";
+    return fail(coded.error().code, of_goal ? (o.size_kb ? "--size-kb" : "--error") : o.input,
+                of_goal || coded.error().where == "picture"
+                    ? coded.error().detail
+                    : coded.error().where + " " + coded.error().detail);
+  }
+  PENUMBRA_TRY(write_bytes(
+      o.output, {reinterpret_cast<const char*>(coded->bytes.data()), coded->bytes.size()}));
+  report_encoded(o, input.pixels, *coded);
+  return {};
+}
+
+Result<void> decode(const DecodeOptions& o) {
+  PENUMBRA_TRY(check_writable(o.output));
+  PENUMBRA_ASSIGN(input, codec::read_hdr(o.input));
+  PENUMBRA_TRY(codec::write_hdr(o.output, input.pixels, codec::Depth::kFloat));
+  if (o.json)
+    print_json({{"width", input.pixels.width()}, {"height", input.pixels.height()}});
+  else
+    fmt::print("{}: {}x{}\n", o.output, input.pixels.width(), input.pixels.height());
+  return {};
+}
+
+}  // namespace
+
+void add_encode(CLI::App& parent, Action& action) {
+  static EncodeOptions o;
+  auto* c = parent.add_subcommand("encode", "Make an HDR picture small, to a stated error");
+  c->add_option("input", o.input, "HDR picture: .exr, .hdr, .jph, .jp2, or .jpg with a gain map")
+      ->required();
+  c->add_option("-o,--output", o.output,
+                "Picture to write: .jph (High-Throughput JPEG 2000), or .jp2 (JPEG 2000: a tenth "
+                "smaller, several times as slow to write)")
+      ->required();
+  auto* error =
+      c->add_option("--error", o.error_percent,
+                    "Largest error in per cent: of luminance, RMS over the pixels, and of the "
+                    "sum of each channel; 0.01 to 100")
+          ->capture_default_str()
+          ->check(within(.01, 100));
+  c->add_option("--size-kb", o.size_kb,
+                "Largest size in kilobytes (1000 bytes), in place of --error, 0.1 to 1000000")
+      ->check(within(.1, 1e6))
+      ->excludes(error);
+  c->add_flag("--every-pixel", o.every_pixel,
+              "Keep --error in each pixel, not in the mean over them");
+  add_json(c, o.json);
+  c->callback([&] { action = [] { return encode(o); }; });
+}
+
+void add_decode(CLI::App& parent, Action& action) {
+  static DecodeOptions o;
+  auto* c = parent.add_subcommand("decode", "Write any HDR picture as OpenEXR or Radiance");
+  c->add_option("input", o.input, "HDR picture: .jph, .jp2, .exr, .hdr, or .jpg with a gain map")
+      ->required();
+  c->add_option("-o,--output", o.output, "Picture to write: .exr or .hdr")->required();
+  add_json(c, o.json);
+  c->callback([&] { action = [] { return decode(o); }; });
+}
+
+}  // namespace penumbra::tools
