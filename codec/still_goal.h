@@ -9,7 +9,7 @@
 namespace penumbra::codec {
 
 /// The error of log10 luminance, RMS over the pixels that are not black, or that of the logarithm
-/// of a channel's sum, whichever is larger: a sun is few pixels and most of the light. .0086 is 2 %.
+/// of a channel's sum, whichever is larger: a sun is few pixels and most of the light. .0086: 2 %.
 inline constexpr double kStillDeviation = .0086;
 
 /// One of the two: the smallest file whose error is at most `deviation`, or the closest one of at

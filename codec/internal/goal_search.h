@@ -19,8 +19,8 @@ inline Result<void> check_goal(const StillGoal& goal) {
 }
 
 /// `encode(coarseness)` with the best coarseness within low..high: the largest whose error is
-/// within the goal, or the smallest whose bytes are. Takes errors and bytes as powers of coarseness and
-/// stops within 2 % of the goal.
+/// within the goal, or the smallest whose bytes are. Takes errors and bytes as powers of coarseness
+/// and stops within 2 % of the goal.
 /// errors: kUndetermined (not even the finest, or the coarsest, is within it); those of encode
 template <class Encode>
 Result<CodedStill> search_goal(const StillGoal& goal, double low, double high, double first,
