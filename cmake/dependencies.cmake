@@ -25,6 +25,7 @@ pkg_check_modules(OpenJpeg REQUIRED IMPORTED_TARGET libopenjp2)
 find_library(OPENJPH openjph REQUIRED)  # its .pc names no library
 # Its header alone: prt/bake/internal/tinygltf.h says why.
 pkg_check_modules(TinyGLTF REQUIRED tinygltf)
+pkg_check_modules(JpegXl REQUIRED IMPORTED_TARGET libjxl)  # a peer in the chart
 pkg_check_modules(FFmpeg REQUIRED IMPORTED_TARGET libavformat libavcodec libavutil libswscale)
 pkg_check_modules(Libcamera REQUIRED IMPORTED_TARGET libcamera)
 pkg_check_modules(PipeWire REQUIRED IMPORTED_TARGET libpipewire-0.3)

@@ -6,13 +6,13 @@
 #include <cmath>
 #include <cstdint>
 #include <cstring>
-#include <optional>
 #include <string_view>
 
 #include "codec/internal/formats.h"
 #include "codec/internal/goal_search.h"
 #include "codec/internal/light_planes.h"
 #include "codec/internal/wavelets.h"
+#include "core/io/hash.h"
 
 namespace penumbra::codec {
 
@@ -21,10 +21,16 @@ namespace {
 constexpr double kFinestStepsPerStop = 2048;
 constexpr std::array<unsigned char, 12> kSignature{0,   0,   0,  12,   'j',  'P',
                                                    ' ', ' ', 13, '\n', 0x87, '\n'};
-// Of the box that says what the planes stand for: lowest stop and steps per stop, as float.
+// Of the box that says what the planes stand for: lowest stop and steps per stop, as floats, and a
+// fingerprint of these and of the codestream. OpenJPEG 2.5 is built with assertions on what it
+// reads, which damage would run into.
 constexpr std::array<unsigned char, 16> kScaleId{0xa3, 0x46, 0x79, 0x4f, 0xc2, 0xdf, 0x45, 0x9f,
                                                  0xa7, 0x4d, 0x73, 0x57, 0x3b, 0x81, 0xe6, 0x5b};
-constexpr std::size_t kBoxHead = 8, kScaleBytes = 8;
+constexpr std::size_t kBoxHead = 8, kScaleBytes = 8, kFingerprintBytes = 8;
+
+std::uint64_t fingerprint_of(Bytes scale, Bytes codestream) {
+  return Fnv1a().add(scale.data(), scale.size()).add(codestream.data(), codestream.size()).value();
+}
 
 class BoxWriter {
  public:
@@ -44,12 +50,16 @@ class BoxWriter {
   std::vector<unsigned char> out_;
 };
 
-std::vector<unsigned char> scale_content(const LightScale& scale, std::size_t padding) {
+std::vector<unsigned char> scale_content(const LightScale& scale, Bytes codestream,
+                                         std::size_t padding) {
   BoxWriter w;
   w.bytes(kScaleId);
   w.number(std::bit_cast<std::uint32_t>(static_cast<float>(scale.lowest_stop)));
   w.number(std::bit_cast<std::uint32_t>(static_cast<float>(scale.steps_per_stop)));
   std::vector<unsigned char> out = w.take();
+  const std::uint64_t fingerprint = fingerprint_of(out, codestream);
+  for (int shift = 56; shift >= 0; shift -= 8)
+    out.push_back(static_cast<unsigned char>(fingerprint >> shift));
   out.resize(out.size() + padding);
   return out;
 }
@@ -82,15 +92,15 @@ std::vector<unsigned char> file_of(const LightPlanes& planes,
   out.bytes(kSignature);
   out.box("ftyp", type.take());
   out.box("jp2h", header_content(planes.width, planes.height));
-  out.box("uuid",
-          scale_content(planes.scale, least > codestream.size() ? least - codestream.size() : 0));
+  out.box("uuid", scale_content(planes.scale, codestream,
+                                least > codestream.size() ? least - codestream.size() : 0));
   out.box("jp2c", codestream);
   return out.take();
 }
 
 struct Boxes {
   Bytes codestream;
-  std::optional<LightScale> scale;
+  Bytes scale;
 };
 
 std::uint32_t number_at(Bytes bytes, std::size_t at) {
@@ -99,14 +109,22 @@ std::uint32_t number_at(Bytes bytes, std::size_t at) {
   return out;
 }
 
-std::optional<LightScale> read_scale(Bytes content) {
-  if (content.size() < kScaleId.size() + kScaleBytes ||
-      !std::ranges::equal(content.first(kScaleId.size()), kScaleId))
-    return {};
+bool is_scale(Bytes content) {
+  return content.size() >= kScaleId.size() + kScaleBytes + kFingerprintBytes &&
+         std::ranges::equal(content.first(kScaleId.size()), kScaleId);
+}
+
+Result<LightScale> read_scale(Bytes content, Bytes codestream, const std::string& name) {
+  const Bytes head = content.first(kScaleId.size() + kScaleBytes);
+  const std::uint64_t fingerprint =
+      std::uint64_t{number_at(content, head.size())} << 32 | number_at(content, head.size() + 4);
   const float lowest = std::bit_cast<float>(number_at(content, kScaleId.size())),
               steps = std::bit_cast<float>(number_at(content, kScaleId.size() + 4));
+  if (fingerprint != fingerprint_of(head, codestream))
+    return fail(ErrorCode::kUnreadable, name, "is damaged: its fingerprint is of other bytes");
   // What floats can hold, and planes of 16 bits.
-  if (!(std::abs(lowest) < 160) || !(steps >= .01f && steps <= 65536)) return {};
+  if (!(std::abs(lowest) < 160) || !(steps >= .01f && steps <= 65536))
+    return fail(ErrorCode::kUnreadable, name, "is damaged: its scale of light is out of range");
   return LightScale{lowest, steps};
 }
 
@@ -126,7 +144,7 @@ Result<Boxes> read_boxes(Bytes bytes, const std::string& name) {
       return fail(ErrorCode::kUnreadable, name, "is truncated: a box ends beyond its bytes");
     const Bytes content = bytes.subspan(at + head, static_cast<std::size_t>(length) - head);
     if (type == "jp2c") out.codestream = content;
-    if (type == "uuid" && !out.scale) out.scale = read_scale(content);
+    if (type == "uuid" && is_scale(content)) out.scale = content;
     at += static_cast<std::size_t>(length);
   }
   if (out.codestream.empty())
@@ -203,11 +221,12 @@ bool is_jpeg2000(Bytes bytes) {
 Result<HdrImage> decode_log_jpeg2000(Bytes bytes, const std::string& name) {
   if (!is_jpeg2000(bytes)) return fail(ErrorCode::kUnreadable, name, "is not a JP2 or JPH file");
   PENUMBRA_ASSIGN(boxes, read_boxes(bytes, name));
-  if (!boxes.scale)
+  if (boxes.scale.empty())
     return fail(ErrorCode::kUnreadable, name,
                 "is a JPEG 2000 picture that does not say how bright its numbers are");
+  PENUMBRA_ASSIGN(scale, read_scale(boxes.scale, boxes.codestream, name));
   PENUMBRA_ASSIGN(planes, decode_wavelets(boxes.codestream, name));
-  planes.scale = *boxes.scale;
+  planes.scale = scale;
   HdrImage out;
   out.pixels = rgb_from_planes(planes);
   out.non_finite = count_non_finite(out.pixels.pixels());

@@ -141,7 +141,9 @@ MENTIONED = {
                  "tools/chart/command_chart_clip.cpp: rows.push_back( + "
                  "tools/chart/command_chart_clip.cpp: print_json( + "
                  "tools/chart/command_chart_light_track.cpp: rows.push_back( + "
-                 "tools/chart/command_chart_light_track.cpp: print_json("},
+                 "tools/chart/command_chart_light_track.cpp: print_json( + "
+                 "tools/chart/command_chart_stills.cpp: json to_json( + "
+                 "tools/chart/command_chart_stills.cpp: print_json("},
 }
 JSON_PAGES = ("http.md", "json.md")
 PARTS = {"kPlacementKeys"}  # lists of keys that stand in another list, too

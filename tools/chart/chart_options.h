@@ -27,6 +27,7 @@ struct ChartOptions {
   double shortest_exposure_s = 1. / 64000;  // of the environment camera, for that
   std::string view_lens = "pinhole";        // of the view camera, for that
   bool light_track = false;                 // chart the coding of maps of the surroundings instead
+  std::vector<std::string> stills_charted;  // chart the coding of these HDR pictures instead
   std::string animation;  // of the first asset: chart the compression of its transfer instead
   std::string light_map = "128x128";
   int frames = 100, samples = 512;
@@ -39,6 +40,8 @@ struct ChartOptions {
 Result<void> chart_clip(const ChartOptions& options);
 /// Bytes against the light's error of ways to keep maps of the surroundings.
 Result<void> chart_light_track(const ChartOptions& options);
+/// Bits a pixel against error of ways to keep HDR pictures.
+Result<void> chart_stills(const ChartOptions& options);
 /// Errors of the joined chain, from both cameras' sensors to the picture.
 Result<void> chart_through_sensor(const ChartOptions& options);
 

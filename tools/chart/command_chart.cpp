@@ -209,6 +209,13 @@ void add_chart(CLI::App& parent, Action& action) {
           ->excludes(governor)
           ->excludes(sensor)
           ->group("Coding of a light track instead");
+  CLI::Option* const still =
+      c->add_option("--still", chart_options.stills_charted,
+                    "HDR pictures: chart their bytes against their errors for several coders")
+          ->excludes(governor)
+          ->excludes(sensor)
+          ->excludes(light_track)
+          ->group("Coding of HDR pictures instead");
   const char* const kClip = "Compression of a clip's transfer instead";
   CLI::Option* const clip =
       c->add_option(
@@ -219,6 +226,7 @@ void add_chart(CLI::App& parent, Action& action) {
           ->excludes(governor)
           ->excludes(sensor)
           ->excludes(light_track)
+          ->excludes(still)
           ->group(kClip);
   c->add_option("--light-map", chart_options.light_map,
                 "Size of the light map, WIDTHxHEIGHT texels, 8 to 4096 each")
@@ -262,6 +270,7 @@ void add_chart(CLI::App& parent, Action& action) {
   c->callback([&] {
     action = [] {
       if (chart_options.light_track) return chart_light_track(chart_options);
+      if (!chart_options.stills_charted.empty()) return chart_stills(chart_options);
       return chart_options.animation.empty() ? chart(chart_options) : chart_clip(chart_options);
     };
   });
