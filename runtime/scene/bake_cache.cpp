@@ -7,9 +7,11 @@
 #include <unistd.h>
 
 #include <algorithm>
+#include <cerrno>
 #include <cmath>
 #include <cstdlib>
 #include <optional>
+#include <utility>
 #include <vector>
 
 #include "core/io/files.h"
@@ -83,19 +85,65 @@ std::unexpected<Error> not_baked(const std::string& name) {
   return fail(ErrorCode::kNotFound, name, "is not in the cache");
 }
 
+// Held by the one program that bakes something into the cache. Others wait: on the same processors
+// both bakes would take as long as one after the other.
+class Lock {
+ public:
+  /// name: of what is baked, for the log
+  Lock(fs::path file, const std::string& name)
+      : file_(std::move(file)),
+        descriptor_(::open(file_.c_str(), O_CREAT | O_RDWR | O_CLOEXEC, 0644)) {
+    if (descriptor_ < 0) return;
+    held_ = ::flock(descriptor_, LOCK_EX | LOCK_NB) == 0;
+    if (held_ || errno != EWOULDBLOCK) return;
+    log_info("{}: another program bakes it: waiting for that", name);
+    held_ = ::flock(descriptor_, LOCK_EX) == 0;
+  }
+  ~Lock() {
+    std::error_code ignored;
+    if (held_) fs::remove(file_, ignored);
+    if (descriptor_ >= 0) ::close(descriptor_);
+  }
+  Lock(const Lock&) = delete;
+  Lock& operator=(const Lock&) = delete;
+  bool held() const { return held_; }
+
+ private:
+  fs::path file_;
+  int descriptor_;
+  bool held_ = false;
+};
+
+// Of a file in the cache; none without a cache that can be written.
+std::optional<Lock> lock_for(const std::optional<fs::path>& folder, const fs::path& file,
+                             const std::string& name) {
+  if (!folder || !make_folder(*folder)) return {};
+  return std::optional<Lock>(std::in_place, fs::path(file).replace_extension(".lock"), name);
+}
+
+template <class Baked>
+void mark_used(const Result<Baked>& recalled, const fs::path& file) {
+  std::error_code ignored;
+  if (recalled) fs::last_write_time(file, fs::file_time_type::clock::now(), ignored);
+}
+
 }  // namespace
 
 Result<prt::BakedObject> bake_or_recall(const std::string& name, prt::Mesh mesh,
                                         const prt::BakeOptions& options, BakeCache cache) {
   const auto folder = folder_of(cache);
   const fs::path file = folder ? *folder / cache_name(mesh, options) : fs::path();
+  const auto recall = [&] {
+    auto recalled = prt::read_baked(file);
+    mark_used(recalled, file);
+    return recalled;
+  };
   if (folder)
-    if (auto recalled = prt::read_baked(file)) {
-      std::error_code ignored;
-      fs::last_write_time(file, fs::file_time_type::clock::now(), ignored);
-      return recalled;
-    }
+    if (auto recalled = recall()) return recalled;
   if (cache == BakeCache::kOnly) return not_baked(name);
+  const std::optional<Lock> lock = lock_for(folder, file, name);
+  if (lock)  // who held it before has baked it
+    if (auto recalled = recall()) return recalled;
   auto baked = prt::bake(std::move(mesh), options);
   if (!baked) return fail(baked.error().code, name, baked.error().detail);
   log_info(
@@ -103,7 +151,7 @@ Result<prt::BakedObject> bake_or_recall(const std::string& name, prt::Mesh mesh,
       "first coefficient",
       name, baked->mesh.positions.size(), static_cast<double>(baked->report.rays) * 1e-6,
       baked->report.seconds, 100 * baked->report.standard_error);
-  if (folder && make_folder(*folder)) {
+  if (lock) {
     // A cache that cannot be written costs time, not the result.
     if (const auto written = prt::write_baked(file, *baked); !written)
       log_warning("the bake is not kept in the cache: {}: {}", written.error().where,
@@ -149,24 +197,6 @@ class PrivateFolder {
   fs::path path_;
 };
 
-// Held by the one program that bakes into a journal of the cache.
-class Lock {
- public:
-  explicit Lock(const fs::path& file)
-      : descriptor_(::open(file.c_str(), O_CREAT | O_RDWR | O_CLOEXEC, 0644)),
-        held_(descriptor_ >= 0 && ::flock(descriptor_, LOCK_EX | LOCK_NB) == 0) {}
-  ~Lock() {
-    if (descriptor_ >= 0) ::close(descriptor_);
-  }
-  Lock(const Lock&) = delete;
-  Lock& operator=(const Lock&) = delete;
-  bool held() const { return held_; }
-
- private:
-  int descriptor_;
-  bool held_;
-};
-
 Result<prt::BakedSequence> bake_into(const fs::path& journal, const prt::Character& character,
                                      int clip, const prt::SequenceOptions& options) {
   PENUMBRA_TRY(prt::bake_frames(character, clip, options, {}, journal));
@@ -209,28 +239,27 @@ Result<prt::BakedSequence> bake_or_recall(const std::string& name, const prt::Ch
   const std::string stem = fmt::format(
       "{:016x}", Fnv1a().add(*key).add(options.error).add(options.interpolation_error).value());
   const fs::path file = folder ? *folder / (stem + kClipKind) : fs::path();
-  std::error_code ignored;
+  const auto recall = [&] {
+    auto recalled = prt::read_sequence(file, character, clip);
+    mark_used(recalled, file);
+    return recalled;
+  };
   if (folder)
-    if (auto recalled = prt::read_sequence(file, character, clip)) {
-      fs::last_write_time(file, fs::file_time_type::clock::now(), ignored);
-      return recalled;
-    }
+    if (auto recalled = recall()) return recalled;
   if (cache == BakeCache::kOnly) return not_baked(name);
+  const std::optional<Lock> lock = lock_for(folder, file, name);
+  if (lock)  // who held it before has baked it
+    if (auto recalled = recall()) return recalled;
   tell_work(name, character, clip, options);
   Result<prt::BakedSequence> sequence =
       fail(ErrorCode::kUnwritable, name, "cannot keep its baked frames");
-  bool ours = false;
-  {
-    const std::optional<Lock> lock =
-        folder ? std::optional<Lock>(std::in_place, *folder / (stem + ".lock")) : std::nullopt;
-    ours = lock && lock->held();
-    if (ours) sequence = bake_into(*folder / (stem + kJournalKind), character, clip, options);
-    if (ours) fs::remove(*folder / (stem + ".lock"), ignored);
+  if (lock && lock->held()) {
+    const fs::path journal = *folder / (stem + kJournalKind);
+    sequence = bake_into(journal, character, clip, options);
+    std::error_code ignored;
+    if (!sequence) fs::remove(journal, ignored);
   }
-  if (!sequence) {
-    // Without a cache, beside another program that bakes the same, or past a journal that cannot be
-    // used.
-    if (ours) fs::remove(*folder / (stem + kJournalKind), ignored);
+  if (!sequence) {  // without a cache, or past a journal that cannot be used
     const PrivateFolder own;
     sequence = bake_into(own.path() / (stem + kJournalKind), character, clip, options);
   }

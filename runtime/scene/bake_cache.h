@@ -21,7 +21,7 @@ std::optional<std::filesystem::path> cache_folder();
 
 /// From $XDG_CACHE_HOME/penumbra or ~/.cache/penumbra when it was baked before, otherwise baked and
 /// put there. The folder keeps what was used last, at most `kCacheBytes`; one that cannot be
-/// written costs time, not the result.
+/// written costs time, not the result. One program at a time bakes the same; others wait for it.
 /// errors: of prt::bake, naming `name`; kNotFound (not there, and BakeCache::kOnly)
 Result<prt::BakedObject> bake_or_recall(const std::string& name, prt::Mesh mesh,
                                         const prt::BakeOptions& options, BakeCache cache);

@@ -527,6 +527,20 @@ class Encode(CliTest):
         exact = self.run_json("encode", self.root / "sun.hdr", "-o", out, "--error", 0.1, "--every-pixel")
         self.assertLess(exact["luminance_error_percent"], 0.1)
 
+    def test_coders_of_pictures_are_charted(self):
+        out = self.root / "stills"
+        rows = self.run_json("chart", "--still", self.root / "sun.hdr", "--out", out)["rows"]
+        coders = {row["coder"] for row in rows}
+        self.assertEqual(len(coders), 7)
+        for coder in [name for name in coders if "JPEG 2000" in name]:
+            own = sorted((row["bytes"], row["log10_luminance_rms"]) for row in rows if row["coder"] == coder)
+            self.assertGreaterEqual(own[0][1], own[-1][1], coder)  # more bytes, no more error
+        piz = next(row for row in rows if row["coder"] == "OpenEXR PIZ")
+        self.assertLess(piz["log10_luminance_rms"], 2.0**-11)  # floats of 16 bits
+        self.assertTrue((out / "rate-distortion.csv").stat().st_size > 0)
+        self.assertEqual(len((out / "stills.csv").read_text().splitlines()), 1 + len(rows))
+        self.expect_refusal(["none.hdr"], "chart", "--still", self.root / "none.hdr", "--out", out)
+
     def test_bad_input_is_one_line_and_leaves_nothing(self):
         sun, out = self.root / "sun.hdr", self.root / "bad.jph"
         for words, arguments in ((["bad.png", ".jph", ".jp2"], [sun, "-o", self.root / "bad.png"]),

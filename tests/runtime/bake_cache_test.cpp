@@ -2,7 +2,20 @@
 
 #include <gtest/gtest.h>
 
+#include <fcntl.h>
+#include <sys/file.h>
+#include <unistd.h>
+
+#include <atomic>
+#include <chrono>
+#include <cstdlib>
+#include <optional>
+#include <string>
+#include <thread>
+#include <vector>
+
 #include "core/io/files.h"
+#include "runtime/scene/scene.h"
 #include "tests/support/temp_folder.h"
 
 namespace penumbra::runtime {
@@ -29,6 +42,80 @@ TEST(BakeCache, WhatWasUsedLongestAgoGoesFirst) {
 TEST(BakeCache, FolderThatIsNotThereIsNoError) {
   EXPECT_NO_THROW(prune_cache("/no/such/folder", 1));
   EXPECT_FALSE(fs::exists("/no/such/folder"));
+}
+
+// XDG_CACHE_HOME in a folder of its own, as long as it lives.
+class OwnCache {
+ public:
+  OwnCache() {
+    if (const char* const before = std::getenv("XDG_CACHE_HOME")) before_ = before;
+    ::setenv("XDG_CACHE_HOME", folder_.path().c_str(), 1);
+  }
+  ~OwnCache() {
+    if (before_)
+      ::setenv("XDG_CACHE_HOME", before_->c_str(), 1);
+    else
+      ::unsetenv("XDG_CACHE_HOME");
+  }
+  OwnCache(const OwnCache&) = delete;
+  OwnCache& operator=(const OwnCache&) = delete;
+
+ private:
+  const test::TempFolder folder_;
+  std::optional<std::string> before_;
+};
+
+prt::BakeOptions few_rays() {
+  prt::BakeOptions options;
+  options.rays = options.ground_rays = 64;
+  return options;
+}
+
+TEST(BakeCache, TwoThatWantTheSameBakeItOnce) {
+  const OwnCache cache;
+  const auto asset = load_asset("builtin:ball", {.7f, .7f, .7f}, 0);
+  ASSERT_TRUE(asset) << asset.error().detail;
+  std::atomic<int> baked = 0;
+  std::vector<Result<prt::BakedObject>> results;
+  for (int i = 0; i < 2; ++i)
+    results.push_back(fail(ErrorCode::kNotFound, "ball", "is not there yet"));
+  {
+    std::vector<std::jthread> threads;
+    for (auto& result : results)
+      threads.emplace_back([&] {
+        prt::BakeOptions options = few_rays();
+        options.progress = [&](double done) { baked += done == 1; };
+        result = bake_or_recall("ball", asset->mesh, options, BakeCache::kUsed);
+      });
+  }
+  EXPECT_EQ(baked, 1);
+  ASSERT_TRUE(results[0] && results[1]);
+  EXPECT_EQ(results[0]->transfer.values, results[1]->transfer.values);
+  for (const auto& file : fs::directory_iterator(*cache_folder()))
+    EXPECT_EQ(file.path().extension(), ".glb") << file.path();
+}
+
+TEST(BakeCache, WhoeverDiedWhileItBakedHoldsNobodyUp) {
+  const OwnCache cache;
+  const auto asset = load_asset("builtin:ball", {.7f, .7f, .7f}, 0);
+  ASSERT_TRUE(asset);
+  // The lock's name is found where a bake has been.
+  ASSERT_TRUE(bake_or_recall("ball", asset->mesh, few_rays(), BakeCache::kUsed));
+  fs::path file = fs::directory_iterator(*cache_folder())->path();
+  fs::remove(file);
+  const fs::path lock = fs::path(file).replace_extension(".lock");
+  const int held = ::open(lock.c_str(), O_CREAT | O_RDWR | O_CLOEXEC, 0644);
+  ASSERT_EQ(::flock(held, LOCK_EX | LOCK_NB), 0);
+  std::atomic<bool> is_baked = false;
+  std::jthread waits([&] {
+    is_baked = bake_or_recall("ball", asset->mesh, few_rays(), BakeCache::kUsed).has_value();
+  });
+  std::this_thread::sleep_for(std::chrono::milliseconds(200));
+  EXPECT_FALSE(fs::exists(file)) << "it did not wait";
+  ::close(held);  // as the system does for a program that ends
+  waits.join();
+  EXPECT_TRUE(is_baked);
+  EXPECT_TRUE(fs::exists(file));
 }
 
 }  // namespace
