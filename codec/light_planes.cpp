@@ -32,6 +32,12 @@ std::string pixel_name(const Image<Rgb>& image, std::size_t index) {
   return "pixel " + std::to_string(index % width) + ", " + std::to_string(index / width);
 }
 
+// With what is below 0 cut, of the same luminance.
+Rgb inside_rec709(const Rgb& p, float y) {
+  const Rgb inside{std::max(0.f, p.r), std::max(0.f, p.g), std::max(0.f, p.b)};
+  return y / luminance(inside) * inside;
+}
+
 // Stops of the brightest pixel and of the darkest that is not black.
 struct LuminanceRange {
   double low = 0, high = 0;
@@ -60,22 +66,23 @@ Result<LightPlanes> planes_from_rgb(const Image<Rgb>& radiance, double steps_per
   PENUMBRA_ASSIGN(range, range_of(radiance));
   LightPlanes out;
   out.width = radiance.width(), out.height = radiance.height();
-  out.scale.lowest_stop = range.low - kStopsAboveBlack;
-  out.scale.steps_per_stop =
-      std::min(steps_per_stop, (kMaxCode - 1) / (kStopsAboveBlack + range.high - range.low));
+  out.scale.lowest_stop = static_cast<float>(range.low - kStopsAboveBlack);
+  out.scale.steps_per_stop = static_cast<float>(
+      std::min(steps_per_stop, (kMaxCode - 1) / (kStopsAboveBlack + range.high - range.low)));
   for (auto& plane : out.codes) plane.resize(radiance.area());
-  const float colour_steps = static_cast<float>(out.scale.steps_per_stop * kColourPerStop);
+  const float colour_steps = out.scale.steps_per_stop * kColourPerStop;
   std::int32_t u = kColourZero, v = kColourZero;  // black takes its neighbour's colour: no edge
   for (std::size_t i = 0; i < radiance.area(); ++i) {
     const Rgb& p = radiance.pixels()[i];
-    const float y = luminance(p);
-    const glm::vec3 xyz = kXyzFromRgb * glm::vec3(p.r, p.g, p.b);
-    const float sum = xyz.x + 15 * y + 3 * xyz.z;
-    const double stop = y > 0 ? std::log2(double{y}) : range.low - 1;
-    if (stop >= range.low && sum > 0) {
+    const double y = luminance(p), stop = y > 0 ? std::log2(y) : range.low - 1;
+    if (stop >= range.low) {
+      const Rgb inside = inside_rec709(p, static_cast<float>(y));
+      const glm::vec3 xyz = kXyzFromRgb * glm::vec3(inside.r, inside.g, inside.b);
+      const float sum = xyz.x + 15 * xyz.y + 3 * xyz.z;
       u = code_of(kColourZero + colour_steps * (4 * xyz.x / sum - kWhiteU));
-      v = code_of(kColourZero + colour_steps * (9 * y / sum - kWhiteV));
-      out.codes[0][i] = code_of((stop - out.scale.lowest_stop) * out.scale.steps_per_stop);
+      v = code_of(kColourZero + colour_steps * (9 * xyz.y / sum - kWhiteV));
+      out.codes[0][i] =
+          code_of((stop - double{out.scale.lowest_stop}) * double{out.scale.steps_per_stop});
     }
     out.codes[1][i] = u, out.codes[2][i] = v;
   }
@@ -84,45 +91,49 @@ Result<LightPlanes> planes_from_rgb(const Image<Rgb>& radiance, double steps_per
 
 Image<Rgb> rgb_from_planes(const LightPlanes& planes) {
   Image<Rgb> out(planes.width, planes.height);
-  const auto colour_step = static_cast<float>(1 / (planes.scale.steps_per_stop * kColourPerStop));
-  const auto stop_step = static_cast<float>(1 / planes.scale.steps_per_stop);
+  const double lowest = planes.scale.lowest_stop, stop_step = 1. / planes.scale.steps_per_stop;
+  const float colour_step = 1 / (planes.scale.steps_per_stop * kColourPerStop);
+  const double black = kStopsAboveBlack / 2 * planes.scale.steps_per_stop;
   for (std::size_t i = 0; i < out.area(); ++i) {
     const std::int32_t code = planes.codes[0][i];
-    if (code <= 0) continue;
-    const float y = std::exp2(static_cast<float>(planes.scale.lowest_stop) +
-                              static_cast<float>(code) * stop_step);
+    if (code < black) continue;
+    const auto y = static_cast<float>(std::exp2(lowest + code * stop_step));
     const float u = kWhiteU + static_cast<float>(planes.codes[1][i] - kColourZero) * colour_step;
     const float v = std::max(
         1e-3f, kWhiteV + static_cast<float>(planes.codes[2][i] - kColourZero) * colour_step);
-    const glm::vec3 xyz(y * 9 * u / (4 * v), y, y * (12 - 3 * u - 20 * v) / (4 * v));
-    const glm::vec3 rgb = kRgbFromXyz * xyz;
-    const Rgb inside{std::max(0.f, rgb.x), std::max(0.f, rgb.y), std::max(0.f, rgb.z)};
-    out.pixels()[i] = y / luminance(inside) * inside;  // what was cut does not brighten
+    const glm::vec3 rgb =
+        kRgbFromXyz * glm::vec3(y * 9 * u / (4 * v), y, y * (12 - 3 * u - 20 * v) / (4 * v));
+    out.pixels()[i] = inside_rec709({rgb.x, rgb.y, rgb.z}, y);
   }
   return out;
 }
 
-double deviation_of(const Image<Rgb>& truth, const Image<Rgb>& decoded, const LightScale& scale) {
-  const double black = std::exp2(scale.lowest_stop),
+StillError error_of(const Image<Rgb>& truth, const Image<Rgb>& decoded, const LightScale& scale) {
+  const double black = std::exp2(double{scale.lowest_stop}),
                least = black * std::exp2(kStopsAboveBlack) * (1 - 1e-6);
   double sum = 0, count = 0;
   std::array<double, 3> light{}, kept{};
+  StillError out;
   for (std::size_t i = 0; i < truth.area(); ++i) {
     const Rgb &a = truth.pixels()[i], &b = decoded.pixels()[i];
-    for (int c = 0; c < 3; ++c) {
-      light[static_cast<std::size_t>(c)] += double{a[c]};
-      kept[static_cast<std::size_t>(c)] += double{b[c]};
-    }
     const double y = luminance(a);
     if (!(y >= least)) continue;
+    const Rgb inside = inside_rec709(a, static_cast<float>(y));
+    for (int c = 0; c < 3; ++c) {
+      light[static_cast<std::size_t>(c)] += double{inside[c]};
+      kept[static_cast<std::size_t>(c)] += double{b[c]};
+    }
     // What became black is off by as much as the scale's end.
-    sum += std::pow(std::log10(std::max<double>(luminance(b), black) / y), 2);
+    const double error = std::abs(std::log10(std::max<double>(luminance(b), black) / y));
+    sum += error * error;
+    out.luminance_max = std::max(out.luminance_max, error);
     ++count;
   }
-  if (count == 0) return 0;
-  double out = std::sqrt(sum / count);
+  if (count == 0) return out;
+  out.luminance_rms = std::sqrt(sum / count);
+  const double part = std::ranges::max(light) / 20;
   for (std::size_t c = 0; c < 3; ++c)
-    if (light[c] > 0 && kept[c] > 0) out = std::max(out, std::abs(std::log10(kept[c] / light[c])));
+    out.light = std::max(out.light, std::abs(std::log10((kept[c] + part) / (light[c] + part))));
   return out;
 }
 

@@ -6,6 +6,7 @@
 #include <cmath>
 #include <cstdint>
 #include <cstring>
+#include <optional>
 #include <string_view>
 
 #include "codec/internal/formats.h"
@@ -18,15 +19,15 @@ namespace penumbra::codec {
 
 namespace {
 
-constexpr double kFinestStepsPerStop = 2048;
+constexpr double kStepsPerStop = 2048;
 constexpr std::array<unsigned char, 12> kSignature{0,   0,   0,  12,   'j',  'P',
                                                    ' ', ' ', 13, '\n', 0x87, '\n'};
-// Of the box that says what the planes stand for: lowest stop and steps per stop, as floats, and a
-// fingerprint of these and of the codestream. OpenJPEG 2.5 is built with assertions on what it
-// reads, which damage would run into.
+// Of the box that says what the planes stand for: lowest stop and steps per stop as floats, 1 + the
+// environment or 0, and a fingerprint of these and of the codestream. OpenJPEG 2.5 is built with
+// assertions on what it reads, which damage would run into.
 constexpr std::array<unsigned char, 16> kScaleId{0xa3, 0x46, 0x79, 0x4f, 0xc2, 0xdf, 0x45, 0x9f,
                                                  0xa7, 0x4d, 0x73, 0x57, 0x3b, 0x81, 0xe6, 0x5b};
-constexpr std::size_t kBoxHead = 8, kScaleBytes = 8, kFingerprintBytes = 8;
+constexpr std::size_t kBoxHead = 8, kScaleBytes = 12, kFingerprintBytes = 8;
 
 std::uint64_t fingerprint_of(Bytes scale, Bytes codestream) {
   return Fnv1a().add(scale.data(), scale.size()).add(codestream.data(), codestream.size()).value();
@@ -50,12 +51,15 @@ class BoxWriter {
   std::vector<unsigned char> out_;
 };
 
-std::vector<unsigned char> scale_content(const LightScale& scale, Bytes codestream,
-                                         std::size_t padding) {
+using Projection = std::optional<EnvironmentAttribute>;
+
+std::vector<unsigned char> scale_content(const LightScale& scale, Projection environment,
+                                         Bytes codestream, std::size_t padding) {
   BoxWriter w;
   w.bytes(kScaleId);
-  w.number(std::bit_cast<std::uint32_t>(static_cast<float>(scale.lowest_stop)));
-  w.number(std::bit_cast<std::uint32_t>(static_cast<float>(scale.steps_per_stop)));
+  w.number(std::bit_cast<std::uint32_t>(scale.lowest_stop));
+  w.number(std::bit_cast<std::uint32_t>(scale.steps_per_stop));
+  w.number(environment ? 1 + static_cast<std::uint32_t>(*environment) : 0);
   std::vector<unsigned char> out = w.take();
   const std::uint64_t fingerprint = fingerprint_of(out, codestream);
   for (int shift = 56; shift >= 0; shift -= 8)
@@ -80,9 +84,16 @@ std::vector<unsigned char> header_content(int width, int height) {
   return out.take();
 }
 
-std::vector<unsigned char> file_of(const LightPlanes& planes,
-                                   std::span<const unsigned char> codestream, WaveletCoder coder) {
-  const std::string_view brand = coder == WaveletCoder::kFast ? "jph " : "jp2 ";
+// What stays the same from try to try.
+struct StillTask {
+  const Image<Rgb>& radiance;
+  WaveletCoder coder;
+  Projection environment;
+};
+
+std::vector<unsigned char> file_of(const StillTask& task, const LightPlanes& planes,
+                                   Bytes codestream) {
+  const std::string_view brand = task.coder == WaveletCoder::kFast ? "jph " : "jp2 ";
   BoxWriter type;
   type.bytes({reinterpret_cast<const unsigned char*>(brand.data()), brand.size()});
   type.number(0);
@@ -92,7 +103,7 @@ std::vector<unsigned char> file_of(const LightPlanes& planes,
   out.bytes(kSignature);
   out.box("ftyp", type.take());
   out.box("jp2h", header_content(planes.width, planes.height));
-  out.box("uuid", scale_content(planes.scale, codestream,
+  out.box("uuid", scale_content(planes.scale, task.environment, codestream,
                                 least > codestream.size() ? least - codestream.size() : 0));
   out.box("jp2c", codestream);
   return out.take();
@@ -114,18 +125,26 @@ bool is_scale(Bytes content) {
          std::ranges::equal(content.first(kScaleId.size()), kScaleId);
 }
 
-Result<LightScale> read_scale(Bytes content, Bytes codestream, const std::string& name) {
+struct ReadScale {
+  LightScale light;
+  Projection environment;
+};
+
+Result<ReadScale> read_scale(Bytes content, Bytes codestream, const std::string& name) {
   const Bytes head = content.first(kScaleId.size() + kScaleBytes);
   const std::uint64_t fingerprint =
       std::uint64_t{number_at(content, head.size())} << 32 | number_at(content, head.size() + 4);
-  const float lowest = std::bit_cast<float>(number_at(content, kScaleId.size())),
-              steps = std::bit_cast<float>(number_at(content, kScaleId.size() + 4));
   if (fingerprint != fingerprint_of(head, codestream))
     return fail(ErrorCode::kUnreadable, name, "is damaged: its fingerprint is of other bytes");
+  const float lowest = std::bit_cast<float>(number_at(head, kScaleId.size())),
+              steps = std::bit_cast<float>(number_at(head, kScaleId.size() + 4));
+  const std::uint32_t environment = number_at(head, kScaleId.size() + 8);
   // What floats can hold, and planes of 16 bits.
-  if (!(std::abs(lowest) < 160) || !(steps >= .01f && steps <= 65536))
+  if (!(std::abs(lowest) < 160) || !(steps >= .01f && steps <= 65536) || environment > 2)
     return fail(ErrorCode::kUnreadable, name, "is damaged: its scale of light is out of range");
-  return LightScale{lowest, steps};
+  ReadScale out{{lowest, steps}, {}};
+  if (environment > 0) out.environment = static_cast<EnvironmentAttribute>(environment - 1);
+  return out;
 }
 
 Result<Boxes> read_boxes(Bytes bytes, const std::string& name) {
@@ -152,22 +171,15 @@ Result<Boxes> read_boxes(Bytes bytes, const std::string& name) {
   return out;
 }
 
-Result<std::vector<unsigned char>> encode_planes(const LightPlanes& planes, double coarseness,
-                                                 WaveletCoder coder) {
-  PENUMBRA_ASSIGN(codestream, coder == WaveletCoder::kFast
+// With the picture that a reader gets, measured.
+Result<CodedStill> encode_measured(const StillTask& task, const LightPlanes& planes,
+                                   double coarseness) {
+  PENUMBRA_ASSIGN(codestream, task.coder == WaveletCoder::kFast
                                   ? encode_fast_wavelets(planes, coarseness)
                                   : encode_small_wavelets(planes, coarseness));
-  return file_of(planes, codestream, coder);
-}
-
-// With the picture that a reader gets, measured.
-Result<CodedStill> encode_measured(const Image<Rgb>& radiance, const LightPlanes& planes,
-                                   double coarseness, WaveletCoder coder) {
-  CodedStill out;
-  PENUMBRA_ASSIGN(bytes, encode_planes(planes, coarseness, coder));
-  out.bytes = std::move(bytes);
+  CodedStill out{file_of(task, planes, codestream), {}};
   PENUMBRA_ASSIGN(back, decode_log_jpeg2000(out.bytes, "picture"));
-  out.deviation = deviation_of(radiance, back.pixels, planes.scale);
+  out.error = error_of(task.radiance, back.pixels, planes.scale);
   return out;
 }
 
@@ -185,14 +197,15 @@ Result<void> check_picture(const Image<Rgb>& radiance, const StillGoal& goal) {
 }  // namespace
 
 Result<CodedStill> encode_log_jpeg2000(const Image<Rgb>& radiance, const StillGoal& goal,
-                                       WaveletCoder coder) {
+                                       WaveletCoder coder, Projection environment) {
   PENUMBRA_TRY(check_picture(radiance, goal));
-  coder = coder_for(radiance, coder);
-  PENUMBRA_ASSIGN(planes, planes_from_rgb(radiance, kFinestStepsPerStop));
-  const auto encode = [&](double coarseness) {
-    return encode_measured(radiance, planes, coarseness, coder);
-  };
-  if (coder == WaveletCoder::kFast) return search_goal(goal, 2e-5, .5, .006, encode);
+  const StillTask task{radiance, coder_for(radiance, coder), environment};
+  // Rounding alone is to be a quarter of the error.
+  const double steps =
+      std::max(kStepsPerStop, std::log10(2.) * 4 / (std::sqrt(12.) * goal.deviation));
+  PENUMBRA_ASSIGN(planes, planes_from_rgb(radiance, steps));
+  const auto encode = [&](double coarseness) { return encode_measured(task, planes, coarseness); };
+  if (task.coder == WaveletCoder::kFast) return search_goal(goal, 2e-5, .5, .006, encode);
   const double raw = 2. * kPlanes * static_cast<double>(radiance.area());
   const double first = goal.max_bytes > 0 ? raw / static_cast<double>(goal.max_bytes) : 12;
   const double most = std::max(2., raw / 64);
@@ -200,17 +213,19 @@ Result<CodedStill> encode_log_jpeg2000(const Image<Rgb>& radiance, const StillGo
 }
 
 Result<CodedStill> encode_log_jpeg2000_exactly(const Image<Rgb>& radiance, const StillGoal& goal,
-                                               WaveletCoder coder) {
+                                               WaveletCoder coder, Projection environment) {
   PENUMBRA_TRY(check_picture(radiance, goal));
   if (goal.max_bytes > 0)
     return fail(ErrorCode::kInvalid, "goal", "has a size, but what is exact takes what it takes");
   // Half a step off at most, less what floats round.
   const double steps = std::log10(2.) / (2 * goal.deviation) * 1.01;
   PENUMBRA_ASSIGN(planes, planes_from_rgb(radiance, steps));
-  if (planes.scale.steps_per_stop < steps)
+  PENUMBRA_ASSIGN(coded,
+                  encode_measured({radiance, coder_for(radiance, coder), environment}, planes, 0));
+  if (coded.error.luminance_max > goal.deviation)
     return fail(ErrorCode::kUndetermined, "goal",
                 "cannot be met: the picture's range leaves too few of 16 bits");
-  return encode_measured(radiance, planes, 0, coder_for(radiance, coder));
+  return coded;
 }
 
 bool is_jpeg2000(Bytes bytes) {
@@ -226,9 +241,10 @@ Result<HdrImage> decode_log_jpeg2000(Bytes bytes, const std::string& name) {
                 "is a JPEG 2000 picture that does not say how bright its numbers are");
   PENUMBRA_ASSIGN(scale, read_scale(boxes.scale, boxes.codestream, name));
   PENUMBRA_ASSIGN(planes, decode_wavelets(boxes.codestream, name));
-  planes.scale = scale;
+  planes.scale = scale.light;
   HdrImage out;
   out.pixels = rgb_from_planes(planes);
+  out.environment = scale.environment;
   out.non_finite = count_non_finite(out.pixels.pixels());
   return out;
 }

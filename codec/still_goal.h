@@ -8,21 +8,26 @@
 #pragma GCC visibility push(default)
 namespace penumbra::codec {
 
-/// The error of log10 luminance, RMS over the pixels that are not black, or that of the logarithm
-/// of a channel's sum, whichever is larger: a sun is few pixels and most of the light. .0086: 2 %.
-inline constexpr double kStillDeviation = .0086;
-
 /// One of the two: the smallest file whose error is at most `deviation`, or the closest one of at
-/// most `max_bytes`, where those are not 0.
+/// most `max_bytes`, where those are not 0. The error is the larger of StillError's first two.
 struct StillGoal {
-  double deviation = kStillDeviation;  // 1e-5..1
+  double deviation = .0086;  // 1e-5..1; 2 %
   std::size_t max_bytes = 0;
 };
 
-/// What a coder made, and how far its picture is from the one that it was given.
+/// Of a picture as it decodes; all are of logarithms to base 10.
+struct StillError {
+  double luminance_rms = 0, luminance_max = 0;  // over the pixels that are not black
+  /// The largest of the sums of the channels, of which each counts as a twentieth of the brightest
+  /// one more: a sun is few pixels and most of the light.
+  double light = 0;
+
+  double larger() const { return luminance_rms > light ? luminance_rms : light; }
+};
+
 struct CodedStill {
   std::vector<unsigned char> bytes;
-  double deviation = 0;  // as StillGoal's, of the picture as it decodes
+  StillError error;
 };
 
 }  // namespace penumbra::codec

@@ -5,6 +5,7 @@
 #include <bit>
 #include <cstring>
 #include <memory>
+#include <optional>
 #include <utility>
 
 #include "codec/internal/formats.h"
@@ -18,7 +19,7 @@ using OwnedImage = std::unique_ptr<opj_image_t, decltype(&opj_image_destroy)>;
 using OwnedCodec = std::unique_ptr<opj_codec_t, decltype(&opj_destroy_codec)>;
 using OwnedStream = std::unique_ptr<opj_stream_t, decltype(&opj_stream_destroy)>;
 
-constexpr std::size_t kFreePixels = std::size_t{1} << 20, kPixelsPerByte = std::size_t{1} << 14;
+constexpr std::size_t kFreePixels = std::size_t{1} << 20, kPixelsPerByte = std::size_t{1} << 10;
 
 // The last of the library's messages, as the reason of an error.
 void keep_message(const char* message, void* text) {
@@ -112,16 +113,37 @@ int levels_of(const LightPlanes& planes) {
   return std::min(kMaxLevels, static_cast<int>(std::bit_width(side)) - 1);
 }
 
-// What a picture must be to be ours: three planes of 16 bits, all of the picture's size.
-bool is_planes(const opj_image_t& image) {
-  if (image.numcomps != kPlanes || image.x0 != 0 || image.y0 != 0) return false;
-  for (OPJ_UINT32 c = 0; c < kPlanes; ++c) {
-    const opj_image_comp_t& plane = image.comps[c];
-    if (plane.prec != kPlaneBits || plane.sgnd != 0 || plane.dx != 1 || plane.dy != 1 ||
-        plane.w != image.x1 || plane.h != image.y1)
-      return false;
-  }
-  return true;
+struct PlaneSize {
+  std::uint32_t width = 0, height = 0;
+};
+
+// Of a codestream of three planes of 16 bits in one tile, as the encoders write it. It is read here
+// since OpenJPEG makes room for all tiles and planes that a stream claims.
+// source: ISO/IEC 15444-1, A.5.1
+std::optional<PlaneSize> size_of_planes(std::span<const unsigned char> bytes) {
+  constexpr std::size_t kBeforePlanes = 42, kBytes = kBeforePlanes + 3 * kPlanes;
+  if (bytes.size() < kBytes) return {};
+  const auto number = [&](std::size_t at) {
+    return std::uint32_t{bytes[at]} << 24 | std::uint32_t{bytes[at + 1]} << 16 |
+           std::uint32_t{bytes[at + 2]} << 8 | bytes[at + 3];
+  };
+  constexpr std::uint32_t kStartAndSize = 0xff4fff51;
+  const PlaneSize size{number(8), number(12)};
+  const bool at_origin = number(16) == 0 && number(20) == 0 && number(32) == 0 && number(36) == 0;
+  if (number(0) != kStartAndSize || !at_origin || number(24) < size.width ||
+      number(28) < size.height || bytes[40] != 0 || bytes[41] != kPlanes)
+    return {};
+  for (std::size_t at = kBeforePlanes; at < kBytes; at += 3)
+    if (bytes[at] != kPlaneBits - 1 || bytes[at + 1] != 1 || bytes[at + 2] != 1) return {};
+  return size;
+}
+
+// The same as the library has read it.
+bool is_of_size(const opj_image_t& image, const PlaneSize& size) {
+  if (image.numcomps != kPlanes) return false;
+  return std::all_of(image.comps, image.comps + kPlanes, [&](const opj_image_comp_t& plane) {
+    return plane.w == size.width && plane.h == size.height;
+  });
 }
 
 }  // namespace
@@ -155,6 +177,16 @@ Result<std::vector<unsigned char>> encode_small_wavelets(const LightPlanes& plan
 
 Result<LightPlanes> decode_wavelets(std::span<const unsigned char> codestream,
                                     const std::string& name) {
+  const auto size = size_of_planes(codestream);
+  if (!size)
+    return fail(ErrorCode::kUnreadable, name,
+                "does not begin as a codestream of three planes of 16 bits in one tile");
+  PENUMBRA_TRY(check_size(std::int64_t{size->width}, std::int64_t{size->height}, name));
+  if (codestream.size() < min_codestream_bytes(size->width, size->height))
+    return fail(ErrorCode::kInvalid, name,
+                "says that it has " + std::to_string(size->width) + " x " +
+                    std::to_string(size->height) + " pixels, which its " +
+                    std::to_string(codestream.size()) + " bytes cannot hold");
   BytesToRead in{codestream};
   const OwnedStream stream = stream_of(in);
   const OwnedCodec codec(opj_create_decompress(OPJ_CODEC_J2K), opj_destroy_codec);
@@ -167,24 +199,16 @@ Result<LightPlanes> decode_wavelets(std::span<const unsigned char> codestream,
                         opj_decoder_set_strict_mode(codec.get(), OPJ_TRUE) &&
                         opj_read_header(stream.get(), codec.get(), &read);
   const OwnedImage image(read, opj_image_destroy);
-  if (!has_head || !image) return fail(ErrorCode::kUnreadable, name, "is damaged: " + reason);
-  PENUMBRA_TRY(check_size(std::int64_t{image->x1}, std::int64_t{image->y1}, name));
-  if (codestream.size() < min_codestream_bytes(image->x1, image->y1))
-    return fail(ErrorCode::kInvalid, name,
-                "says that it has " + std::to_string(image->x1) + " x " +
-                    std::to_string(image->y1) + " pixels, which its " +
-                    std::to_string(codestream.size()) + " bytes cannot hold");
-  if (!is_planes(*image))
-    return fail(ErrorCode::kUnreadable, name, "does not hold three planes of 16 bits");
-  if (!opj_decode(codec.get(), stream.get(), image.get()) ||
+  if (!has_head || !image || !is_of_size(*image, *size) ||
+      !opj_decode(codec.get(), stream.get(), image.get()) ||
       !opj_end_decompress(codec.get(), stream.get()))
     return fail(ErrorCode::kUnreadable, name, "is damaged: " + reason);
   LightPlanes out;
-  out.width = static_cast<int>(image->x1), out.height = static_cast<int>(image->y1);
+  out.width = static_cast<int>(size->width), out.height = static_cast<int>(size->height);
   const std::size_t area =
       static_cast<std::size_t>(out.width) * static_cast<std::size_t>(out.height);
   for (std::size_t c = 0; c < kPlanes; ++c) {
-    if (image->comps[c].data == nullptr)
+    if (image->comps[c].data == nullptr || !is_of_size(*image, *size))
       return fail(ErrorCode::kUnreadable, name, "is damaged: a plane is missing");
     out.codes[c].assign(image->comps[c].data, image->comps[c].data + area);
   }

@@ -18,6 +18,34 @@ inline Result<void> check_goal(const StillGoal& goal) {
   return fail(ErrorCode::kInvalid, "goal", "has a deviation that is not within 0.00001..1");
 }
 
+// On a logarithmic scale, upwards to what misses the goal: excess(good) <= 0 < excess(bad), where
+// they are known.
+struct GoalBracket {
+  double good, bad;
+  std::optional<double> good_excess, bad_excess;
+};
+
+// The line through both sides, at times their middle. With one side alone a step as if the excess
+// were proportional, from the second on at least half of the way to the range's end, then that end:
+// errors have floors.
+inline double next_try(const GoalBracket& b, int tries) {
+  constexpr double kBelow = .01;  // aimed at, of the goal
+  constexpr int kProportional = 1, kHalves = 3;
+  const double width = b.bad - b.good, margin = .02 * width;
+  if (b.good_excess && b.bad_excess) {
+    const double line =
+        b.good + width * (-kBelow - *b.good_excess) / (*b.bad_excess - *b.good_excess);
+    return std::clamp(tries % 3 == 2 ? b.good + width / 2 : line, b.good + margin, b.bad - margin);
+  }
+  const double end = b.good_excess ? b.bad : b.good;
+  if (tries >= kHalves) return end;
+  const double from = b.good_excess ? b.good : b.bad,
+               excess = b.good_excess ? *b.good_excess : *b.bad_excess;
+  double step = std::abs(excess) * 1.2 + kBelow;
+  if (tries >= kProportional) step = std::max(step, width / 2);
+  return end > from ? std::min(from + step, end) : std::max(from - step, end);
+}
+
 /// `encode(coarseness)` with the best coarseness within low..high: the largest whose error is
 /// within the goal, or the smallest whose bytes are. Takes errors and bytes as powers of coarseness
 /// and stops within 2 % of the goal.
@@ -28,7 +56,6 @@ Result<CodedStill> search_goal(const StillGoal& goal, double low, double high, d
   const bool by_size = goal.max_bytes > 0;
   constexpr int kTries = 12;
   constexpr double kNear = .02;
-  // On a logarithmic scale, upwards to what misses the goal: excess(good) <= 0 < excess(bad).
   double good = by_size ? -std::log(high) : std::log(low),
          bad = by_size ? -std::log(low) : std::log(high);
   std::optional<double> good_excess, bad_excess;
@@ -37,8 +64,9 @@ Result<CodedStill> search_goal(const StillGoal& goal, double low, double high, d
   double at = by_size ? -std::log(first) : std::log(first);
   for (int i = 0; i < kTries; ++i) {
     PENUMBRA_ASSIGN(coded, encode(std::exp(by_size ? -at : at)));
-    const double excess = by_size ? std::log(double(coded.bytes.size()) / double(goal.max_bytes))
-                                  : std::log(std::max(coded.deviation, 1e-12) / goal.deviation);
+    const double excess = by_size
+                              ? std::log(double(coded.bytes.size()) / double(goal.max_bytes))
+                              : std::log(std::max(coded.error.larger(), 1e-12) / goal.deviation);
     if (excess <= 0) {
       best = std::move(coded);
       good = at, good_excess = excess;
@@ -48,16 +76,7 @@ Result<CodedStill> search_goal(const StillGoal& goal, double low, double high, d
       bad = at, bad_excess = excess;
     }
     if (bad - good < 1e-3) break;
-    // The line through both sides, kept off them; one side alone: a step as if the excess were
-    // proportional, and halves where that leaves the range.
-    double next = (good + bad) / 2;
-    if (good_excess && bad_excess && i % 3 != 2)
-      next = good + (bad - good) * (-kNear / 2 - *good_excess) / (*bad_excess - *good_excess);
-    else if (!good_excess || !bad_excess)
-      next = at - excess * 1.2 - kNear / 2;
-    const double margin = (bad - good) * .02;
-    at = std::clamp(next, good_excess ? good + margin : good, bad_excess ? bad - margin : bad);
-    if (at == (excess <= 0 ? good : bad)) break;  // at the end of the range
+    at = next_try({good, bad, good_excess, bad_excess}, i);
   }
   if (best) return std::move(*best);
   return fail(ErrorCode::kUndetermined, "goal",
@@ -65,7 +84,7 @@ Result<CodedStill> search_goal(const StillGoal& goal, double low, double high, d
                                     nearest.bytes.size())
                       : fmt::format("cannot be met: the best that this coder reaches is off by "
                                     "{:.3g} %",
-                                    100 * (std::pow(10, nearest.deviation) - 1)));
+                                    100 * (std::pow(10, nearest.error.larger()) - 1)));
 }
 
 }  // namespace penumbra::codec

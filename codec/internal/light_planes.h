@@ -5,6 +5,7 @@
 #include <cstdint>
 #include <vector>
 
+#include "codec/still_goal.h"
 #include "core/image.h"
 #include "core/result.h"
 
@@ -15,15 +16,15 @@ inline constexpr int kPlanes = 3, kPlaneBits = 16;
 /// What the numbers stand for. Luminance: 0 is black, and c > 0 is 2^(lowest_stop + c /
 /// steps_per_stop). Colour: (c - 2^15) / (steps_per_stop * kColourPerStop) from Rec.709's white.
 struct LightScale {
-  double lowest_stop = 0, steps_per_stop = 0;
+  float lowest_stop = 0, steps_per_stop = 0;
 };
 
 /// From black to the darkest that is not: a coder's error does not make it black.
-inline constexpr double kStopsAboveBlack = 4;
+inline constexpr float kStopsAboveBlack = 4;
 
 /// Steps of u', v' in one of a stop: a step of luminance and one of colour are the same part of
 /// what an eye tells, 1 % and 1/410 (Ward Larson 1998), within half.
-inline constexpr double kColourPerStop = 8;
+inline constexpr float kColourPerStop = 8;
 
 struct LightPlanes {
   LightScale scale;
@@ -37,7 +38,7 @@ struct LightPlanes {
 Result<LightPlanes> planes_from_rgb(const Image<Rgb>& radiance, double steps_per_stop);
 Image<Rgb> rgb_from_planes(const LightPlanes& planes);
 
-/// As StillGoal has it, over the pixels whose truth is brighter than what the scale holds.
-double deviation_of(const Image<Rgb>& truth, const Image<Rgb>& decoded, const LightScale& scale);
+/// Over the pixels whose truth is not darker than what the scale holds.
+StillError error_of(const Image<Rgb>& truth, const Image<Rgb>& decoded, const LightScale& scale);
 
 }  // namespace penumbra::codec

@@ -29,7 +29,7 @@ Result<std::vector<unsigned char>> encode_small_wavelets(const LightPlanes& plan
 Result<LightPlanes> decode_wavelets(std::span<const unsigned char> codestream,
                                     const std::string& name);
 
-/// A codestream of fewer bytes than this is not read: one that claims gigabytes ends here.
+/// A codestream of fewer bytes than this is not read: a few bytes cannot claim gigabytes.
 std::size_t min_codestream_bytes(std::int64_t width, std::int64_t height);
 
 }  // namespace penumbra::codec

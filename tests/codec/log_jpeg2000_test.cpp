@@ -7,12 +7,14 @@
 #include <cstdint>
 #include <cstring>
 #include <limits>
+#include <optional>
 #include <span>
 #include <string>
 #include <utility>
 #include <vector>
 
 #include "codec/codec.h"
+#include "codec/internal/goal_search.h"
 #include "core/conventions.h"
 #include "core/io/hash.h"
 #include "tests/fuzz/mutate.h"
@@ -76,9 +78,10 @@ TEST_P(LogJpeg2000, KeepsToTheErrorThatIsWished) {
     ASSERT_TRUE(back) << back.error().detail;
     const double rms = errors_of(truth, back->pixels).rms;
     EXPECT_LE(rms, deviation * 1.0001);
-    EXPECT_GE(coded->deviation, rms - 1e-5);
-    EXPECT_LE(coded->deviation, deviation);
-    EXPECT_GE(coded->deviation, deviation * .8) << "smaller would have done";
+    EXPECT_NEAR(coded->error.luminance_rms, rms, 1e-5);
+    EXPECT_NEAR(coded->error.luminance_max, errors_of(truth, back->pixels).worst, 1e-5);
+    EXPECT_LE(coded->error.larger(), deviation);
+    EXPECT_GE(coded->error.larger(), deviation * .8) << "smaller would have done";
     EXPECT_LT(coded->bytes.size(), before);
     before = coded->bytes.size();
   }
@@ -114,6 +117,65 @@ TEST_P(LogJpeg2000, ExactlyBoundsEachPixelAndTakesFewerBitsForMore) {
   const auto finer = encode_log_jpeg2000_exactly(truth, {.deviation = 2e-5}, GetParam());
   ASSERT_FALSE(finer);
   EXPECT_EQ(finer.error().code, ErrorCode::kUndetermined);
+}
+
+// Scales far from 1 round otherwise.
+TEST_P(LogJpeg2000, ExactlyIsSoAtAnyScale) {
+  for (const float scale : {0x1p-60f, 0x1p20f, 0x1p60f}) {
+    Image<Rgb> truth = room(80, 70);
+    for (Rgb& p : truth.pixels()) p = scale * p;
+    const auto coded = encode_log_jpeg2000_exactly(truth, {.deviation = .0001}, GetParam());
+    ASSERT_TRUE(coded) << coded.error().detail;
+    EXPECT_LE(errors_of(truth, decode_log_jpeg2000(coded->bytes, "p")->pixels).worst, .0001);
+  }
+}
+
+// Errors have floors, at which a step by the excess alone stands still.
+TEST(GoalSearch, FindsWhatCanBeReachedAndSaysWhatCannot) {
+  for (const double floor : {0., .5, .95, .999}) {
+    int tries = 0;
+    const auto coder = [&](double coarseness) -> Result<CodedStill> {
+      ++tries;
+      CodedStill out;
+      out.bytes.resize(static_cast<std::size_t>(100 + 1 / coarseness));
+      out.error.luminance_rms = .01 * std::hypot(floor, 40 * coarseness);
+      return out;
+    };
+    const auto found = search_goal({.deviation = .01}, 2e-5, .5, .006, coder);
+    ASSERT_TRUE(found) << floor << ' ' << found.error().detail;
+    EXPECT_LE(found->error.luminance_rms, .01);
+    EXPECT_LE(tries, 12);
+    EXPECT_TRUE(search_goal({.max_bytes = 5000}, 2e-5, .5, .006, coder));
+    const auto none = search_goal({.deviation = .0099 * floor}, 2e-5, .5, .006, coder);
+    if (floor == 0) continue;
+    ASSERT_FALSE(none);
+    const std::string best = none.error().detail.substr(none.error().detail.find("off by ") + 7);
+    EXPECT_NEAR(std::stod(best), 100 * (std::pow(10, .01 * floor) - 1), .01) << best;
+  }
+}
+
+TEST(LogJpeg2000Planes, SaturatedColoursAndOnesBeyondRec709AreKeptAsFarAsItGoes) {
+  for (const Rgb colour :
+       {Rgb{1, 1e-4f, 1e-4f}, Rgb{1e-5f, 1e-4f, 1}, Rgb{0, .1f, -.3f}, Rgb{1, -.2f, .1f}}) {
+    Image<Rgb> truth = room(80, 70);
+    for (int y = 20; y < 50; ++y)
+      for (int x = 20; x < 50; ++x) truth.at(x, y) = colour;
+    const auto coded = encode_log_jpeg2000(truth);
+    ASSERT_TRUE(coded) << coded.error().detail;
+    const Rgb back = decode_log_jpeg2000(coded->bytes, "p")->pixels.at(35, 35);
+    EXPECT_NEAR(luminance(back) / luminance(colour), 1, .1);
+    EXPECT_GE(std::min({back.r, back.g, back.b}), 0);
+  }
+}
+
+TEST(LogJpeg2000Planes, WhatTheEnvironmentIsIsKept) {
+  const auto with = [](std::optional<EnvironmentAttribute> environment) {
+    const auto coded = encode_log_jpeg2000(room(80, 70), {}, WaveletCoder::kFast, environment);
+    return decode_log_jpeg2000(coded->bytes, "p")->environment;
+  };
+  for (const auto environment : {EnvironmentAttribute::kLatLong, EnvironmentAttribute::kCube})
+    EXPECT_EQ(with(environment), environment);
+  EXPECT_EQ(with({}), std::nullopt);
 }
 
 TEST(LogJpeg2000Planes, BlackStaysBlackAndItsNeighboursKeepTheirColour) {
@@ -239,9 +301,9 @@ void put_fingerprint(Bytes& bytes) {
   const std::size_t scale = place_of(bytes, {'u', 'u', 'i', 'd'}) + 4,
                     codestream = place_of(bytes, {'j', 'p', '2', 'c'}) + 4;
   std::uint64_t value =
-      Fnv1a().add(&bytes[scale], 24).add(&bytes[codestream], bytes.size() - codestream).value();
+      Fnv1a().add(&bytes[scale], 28).add(&bytes[codestream], bytes.size() - codestream).value();
   for (std::size_t i = 8; i-- > 0; value >>= 8)
-    bytes[scale + 24 + i] = static_cast<unsigned char>(value);
+    bytes[scale + 28 + i] = static_cast<unsigned char>(value);
 }
 
 TEST(LogJpeg2000Input, AFewBytesThatClaimAHundredMegapixelsAreRefusedBeforeAnythingIsAllocated) {
@@ -259,6 +321,22 @@ TEST(LogJpeg2000Input, AFewBytesThatClaimAHundredMegapixelsAreRefusedBeforeAnyth
   EXPECT_EQ(result.error().code, ErrorCode::kInvalid);
   EXPECT_NE(result.error().detail.find("10000 x 10000"), std::string::npos)
       << result.error().detail;
+}
+
+// OpenJPEG makes room for every tile and plane before it says how many there are.
+TEST(LogJpeg2000Input, ManyTilesOrPlanesAreNotOurs) {
+  const Bytes whole = encode_log_jpeg2000(room(80, 70))->bytes;
+  const std::size_t size = place_of(whole, {0xff, 0x51});
+  for (const auto& [at, value] : {std::pair{22, 1}, {26, 1}, {39, 200}, {14, 1}, {40, 7}}) {
+    Bytes bytes = whole;
+    bytes[size + static_cast<std::size_t>(at) + (at == 39 ? 0 : 3) - (at == 40 ? 3 : 0)] =
+        static_cast<unsigned char>(value);
+    put_fingerprint(bytes);
+    const auto result = decode_log_jpeg2000(bytes, "tiles.jph");
+    ASSERT_FALSE(result) << at;
+    EXPECT_NE(result.error().detail.find("three planes"), std::string::npos)
+        << at << ' ' << result.error().detail;
+  }
 }
 
 TEST(LogJpeg2000Input, AnEvenPictureOfManyPixelsIsReadThoughItTakesFewBytes) {

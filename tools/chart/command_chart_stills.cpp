@@ -22,6 +22,8 @@ namespace penumbra::tools {
 
 namespace {
 
+constexpr int kMinSide = 64;
+
 // What a coder makes of the pictures, in the mean over them.
 struct StillFigures {
   std::string coder, setting;
@@ -36,20 +38,22 @@ Result<Image<Rgb>> read_still(const std::string& path) {
   if (image.non_finite > 0)
     return fail(ErrorCode::kNonFinite, path, "has pixels that are not finite");
   Image<Rgb> out(image.pixels.width() & ~1, image.pixels.height() & ~1);
-  if (out.empty()) return fail(ErrorCode::kInvalid, path, "is narrower than two pixels");
+  if (std::min(out.width(), out.height()) < kMinSide)
+    return fail(ErrorCode::kInvalid, path,
+                fmt::format("has a side below {} pixels: heads of files would count", kMinSide));
   for (int y = 0; y < out.height(); ++y)
     for (int x = 0; x < out.width(); ++x)
       for (int c = 0; c < 3; ++c) out.at(x, y)[c] = std::max(0.f, image.pixels.at(x, y)[c]);
   return out;
 }
 
-// Over pixels that are not black in either.
+// Over pixels that are not black. What a coder made black is off by three decades.
 double log_luminance_error(const Image<Rgb>& truth, const Image<Rgb>& decoded) {
   double sum = 0, count = 0;
   for (std::size_t i = 0; i < truth.area(); ++i) {
     const double a = luminance(truth.pixels()[i]), b = luminance(decoded.pixels()[i]);
-    if (!(a > 0) || !(b > 0)) continue;
-    sum += std::pow(std::log10(b / a), 2);
+    if (!(a > 0)) continue;
+    sum += std::pow(std::log10(std::max(b / a, 1e-3)), 2);
     ++count;
   }
   return count > 0 ? std::sqrt(sum / count) : 0;
@@ -66,7 +70,11 @@ double display_scale(const Image<Rgb>& picture) {
 
 Result<void> add_picture(const StillCoder& coder, const Image<Rgb>& picture, double fraction,
                          StillFigures& out) {
-  PENUMBRA_ASSIGN(coded, coder.code(picture));
+  const auto result = coder.code(picture);
+  if (!result)
+    return fail(result.error().code, fmt::format("{}, {}", coder.coder, coder.setting),
+                result.error().where + ": " + result.error().detail);
+  const CodedPicture& coded = *result;
   const double area = static_cast<double>(picture.area()), megapixels = area / 1e6;
   PENUMBRA_ASSIGN(sarnoff, sarnoff_map(picture, coded.decoded));
   PENUMBRA_ASSIGN(pu21, pu21_error(picture, coded.decoded, display_scale(picture)));

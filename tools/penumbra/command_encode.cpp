@@ -44,6 +44,10 @@ Result<codec::WaveletCoder> coder_by_name(const std::string& path) {
   return fail(ErrorCode::kInvalid, path, "ends neither in .jph nor in .jp2");
 }
 
+bool has_unseen(const codec::HdrImage& image) {
+  return std::ranges::any_of(image.alpha.pixels(), [](float a) { return a < 1; });
+}
+
 codec::StillGoal goal_of(const EncodeOptions& o) {
   codec::StillGoal goal;
   goal.deviation = std::log10(1 + o.error_percent / 100);
@@ -54,19 +58,24 @@ codec::StillGoal goal_of(const EncodeOptions& o) {
 void report_encoded(const EncodeOptions& o, const Image<Rgb>& pixels,
                     const codec::CodedStill& coded) {
   const double bits = 8. * static_cast<double>(coded.bytes.size()) / double(pixels.area());
-  const double error = 100 * (std::pow(10, coded.deviation) - 1);
+  const auto percent = [](double log10_error) { return 100 * (std::pow(10, log10_error) - 1); };
+  const codec::StillError& e = coded.error;
   if (o.json) {
     print_json({{"width", pixels.width()},
                 {"height", pixels.height()},
                 {"bytes", coded.bytes.size()},
                 {"bits_per_pixel", bits},
-                {"log10_luminance_rms", coded.deviation},
-                {"luminance_error_percent", error}});
+                {"log10_luminance_rms", e.luminance_rms},
+                {"luminance_error_percent", percent(e.luminance_rms)},
+                {"worst_luminance_error_percent", percent(e.luminance_max)},
+                {"light_error_percent", percent(e.light)}});
     return;
   }
-  fmt::print("{}: {}x{}, {:.1f} KB, {:.2f} bits a pixel, luminance off by {:.3g} % (RMS)\n",
-             o.output, pixels.width(), pixels.height(), double(coded.bytes.size()) / kBytesPerKb,
-             bits, error);
+  fmt::print(
+      "{}: {}x{}, {:.1f} KB, {:.2f} bits a pixel; luminance off by {:.3g} % (RMS), at worst {:.3g} "
+      "%; light of a channel off by {:.3g} %\n",
+      o.output, pixels.width(), pixels.height(), double(coded.bytes.size()) / kBytesPerKb, bits,
+      percent(e.luminance_rms), percent(e.luminance_max), percent(e.light));
 }
 
 Result<void> encode(const EncodeOptions& o) {
@@ -76,8 +85,7 @@ Result<void> encode(const EncodeOptions& o) {
   PENUMBRA_ASSIGN(coder, coder_by_name(o.output));
   PENUMBRA_TRY(check_writable(o.output));
   PENUMBRA_ASSIGN(input, codec::read_hdr(o.input));
-  const auto is_part = [](float a) { return a < 1; };
-  if (std::ranges::any_of(input.alpha.pixels(), is_part))
+  if (has_unseen(input))
     log_warning("{}: its alpha, which says what was seen, is not kept", o.input);
   const codec::StillGoal goal = goal_of(o);
   const auto coded = o.every_pixel ? codec::encode_log_jpeg2000_exactly(input.pixels, goal, coder)
@@ -98,7 +106,11 @@ Result<void> encode(const EncodeOptions& o) {
 Result<void> decode(const DecodeOptions& o) {
   PENUMBRA_TRY(check_writable(o.output));
   PENUMBRA_ASSIGN(input, codec::read_hdr(o.input));
-  PENUMBRA_TRY(codec::write_hdr(o.output, input.pixels, codec::Depth::kFloat));
+  const bool is_exr = std::filesystem::path(o.output).extension() != ".hdr";
+  if (!is_exr && has_unseen(input))
+    log_warning("{}: its alpha, which says what was seen, is not kept in .hdr", o.input);
+  PENUMBRA_TRY(codec::write_hdr(o.output, input.pixels, codec::Depth::kFloat, input.environment,
+                                is_exr ? input.alpha : Image<float>()));
   if (o.json)
     print_json({{"width", input.pixels.width()}, {"height", input.pixels.height()}});
   else
