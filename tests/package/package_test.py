@@ -182,8 +182,8 @@ def main(build, examples, program, compiler):
         completion = next(prefix.rglob("bash-completion/completions/penumbra")).read_text()
         check("--max-lights" in completion, "completion knows the flags")
         names = run("bash", "-c", "source " + str(next(prefix.rglob("completions/penumbra"))) +
-                    "; COMP_WORDS=(penumbra de); COMP_CWORD=1; _penumbra; echo ${COMPREPLY[@]}")
-        check(names.split() == ["demo"], f"completion of 'penumbra de' is {names!r}")
+                    "; COMP_WORDS=(penumbra dem); COMP_CWORD=1; _penumbra; echo ${COMPREPLY[@]}")
+        check(names.split() == ["demo"], f"completion of 'penumbra dem' is {names!r}")
         library = f"libpenumbra{version_of(build)}"
         check_installed(check_packages(build, folder, library), folder, examples, environment | cache,
                         lines, library)
