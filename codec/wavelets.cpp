@@ -201,14 +201,14 @@ Result<LightPlanes> decode_wavelets(std::span<const unsigned char> codestream,
   const OwnedImage image(read, opj_image_destroy);
   if (!has_head || !image || !is_of_size(*image, *size) ||
       !opj_decode(codec.get(), stream.get(), image.get()) ||
-      !opj_end_decompress(codec.get(), stream.get()))
+      !opj_end_decompress(codec.get(), stream.get()) || !is_of_size(*image, *size))
     return fail(ErrorCode::kUnreadable, name, "is damaged: " + reason);
   LightPlanes out;
   out.width = static_cast<int>(size->width), out.height = static_cast<int>(size->height);
   const std::size_t area =
       static_cast<std::size_t>(out.width) * static_cast<std::size_t>(out.height);
   for (std::size_t c = 0; c < kPlanes; ++c) {
-    if (image->comps[c].data == nullptr || !is_of_size(*image, *size))
+    if (image->comps[c].data == nullptr)
       return fail(ErrorCode::kUnreadable, name, "is damaged: a plane is missing");
     out.codes[c].assign(image->comps[c].data, image->comps[c].data + area);
   }

@@ -498,6 +498,20 @@ class Files(CliTest):
         self.expect_refusal(["even.hdr"], "compare", self.root / "even.hdr", self.root / "a.png")
 
 
+def with_environment(exr):
+    """An OpenEXR file with the standard attribute of a lat-long map before its others, its line
+    offsets moved by as much."""
+    attribute = b"envmap\0envmap\0\x01\0\0\0\0"
+    end = 8  # magic and version; then name, type, size, value
+    while exr[end] != 0:
+        end = exr.index(b"\0", exr.index(b"\0", end) + 1) + 1
+        end += 4 + struct.unpack_from("<I", exr, end)[0]
+    first, = struct.unpack_from("<Q", exr, end + 1)
+    count = (first - end - 1) // 8
+    offsets = [at + len(attribute) for at in struct.unpack_from(f"<{count}Q", exr, end + 1)]
+    return exr[:8] + attribute + exr[8:end + 1] + struct.pack(f"<{count}Q", *offsets) + exr[first:]
+
+
 class Encode(CliTest):
     @classmethod
     def make_files(cls):
@@ -521,6 +535,18 @@ class Encode(CliTest):
             self.run_json("decode", coded, "-o", back)
             self.assertLess(self.run_json("compare", back, coded)["log10_rmse"], 1e-5)
             self.assertLess(self.run_json("compare", coded, sky)["log10_rmse"], 0.0087)
+
+    def test_a_projection_that_the_shape_does_not_tell_is_kept(self):
+        room, coded, back = (self.root / name for name in ("room.exr", "room.jph", "room_back.exr"))
+        self.run_json("decode", self.root / "sun.hdr", "-o", self.root / "plain.exr")
+        room.write_bytes(with_environment((self.root / "plain.exr").read_bytes()))
+        for exact in ((), ("--every-pixel",)):
+            self.run_json("encode", room, "-o", coded, *exact)
+            self.run_json("decode", coded, "-o", back)
+            self.assertIn(b"envmap\0envmap\0\x01\0\0\0\0", back.read_bytes())
+        self.run_json("encode", self.root / "plain.exr", "-o", coded)
+        self.run_json("decode", coded, "-o", back)
+        self.assertNotIn(b"envmap", back.read_bytes())
 
     def test_size_and_exactness_are_kept(self):
         out = self.root / "small.jph"

@@ -88,8 +88,9 @@ Result<void> encode(const EncodeOptions& o) {
   if (has_unseen(input))
     log_warning("{}: its alpha, which says what was seen, is not kept", o.input);
   const codec::StillGoal goal = goal_of(o);
-  const auto coded = o.every_pixel ? codec::encode_log_jpeg2000_exactly(input.pixels, goal, coder)
-                                   : codec::encode_log_jpeg2000(input.pixels, goal, coder);
+  const auto encode_as =
+      o.every_pixel ? codec::encode_log_jpeg2000_exactly : codec::encode_log_jpeg2000;
+  const auto coded = encode_as(input.pixels, goal, coder, input.environment);
   if (!coded) {
     const bool of_goal = coded.error().where == "goal";
     return fail(coded.error().code, of_goal ? (o.size_kb ? "--size-kb" : "--error") : o.input,
@@ -132,7 +133,7 @@ void add_encode(CLI::App& parent, Action& action) {
   auto* error =
       c->add_option("--error", o.error_percent,
                     "Largest error in per cent: of luminance, RMS over the pixels, and of the "
-                    "sum of each channel; 0.01 to 100")
+                    "light of each channel; 0.01 to 100")
           ->capture_default_str()
           ->check(within(.01, 100));
   c->add_option("--size-kb", o.size_kb,
