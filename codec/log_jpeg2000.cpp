@@ -171,16 +171,35 @@ Result<Boxes> read_boxes(Bytes bytes, const std::string& name) {
   return out;
 }
 
-// With the picture that a reader gets, measured.
-Result<CodedStill> encode_measured(const StillTask& task, const LightPlanes& planes,
-                                   double coarseness) {
+Result<CodedStill> encode_planes(const StillTask& task, const LightPlanes& planes,
+                                 double coarseness) {
   PENUMBRA_ASSIGN(codestream, task.coder == WaveletCoder::kFast
                                   ? encode_fast_wavelets(planes, coarseness)
                                   : encode_small_wavelets(planes, coarseness));
-  CodedStill out{file_of(task, planes, codestream), {}};
-  PENUMBRA_ASSIGN(back, decode_log_jpeg2000(out.bytes, "picture"));
-  out.error = error_of(task.radiance, back.pixels, planes.scale);
-  return out;
+  return CodedStill{file_of(task, planes, codestream), {}};
+}
+
+// By the picture that a reader gets.
+Result<CodedStill> measured(Result<CodedStill> coded, const StillTask& task,
+                            const LightScale& scale) {
+  if (!coded) return coded;
+  PENUMBRA_ASSIGN(back, decode_log_jpeg2000(coded->bytes, "picture"));
+  coded->error = error_of(task.radiance, back.pixels, scale);
+  return coded;
+}
+
+// A size is found without reading each try back.
+Result<CodedStill> search_coarseness(const StillTask& task, const LightPlanes& planes,
+                                     const StillGoal& goal) {
+  const auto encode = [&](double coarseness) {
+    auto coded = encode_planes(task, planes, coarseness);
+    return goal.max_bytes > 0 ? coded : measured(std::move(coded), task, planes.scale);
+  };
+  if (task.coder == WaveletCoder::kFast) return search_goal(goal, 2e-5, .5, .006, encode);
+  const double raw = 2. * kPlanes * static_cast<double>(task.radiance.area()),
+               most = std::max(2., raw / 64);
+  const double first = goal.max_bytes > 0 ? raw / static_cast<double>(goal.max_bytes) : 12;
+  return search_goal(goal, 1.01, most, std::clamp(first * 1.01, 1.01, most), encode);
 }
 
 WaveletCoder coder_for(const Image<Rgb>& radiance, WaveletCoder wished) {
@@ -204,12 +223,8 @@ Result<CodedStill> encode_log_jpeg2000(const Image<Rgb>& radiance, const StillGo
   const double steps =
       std::max(kStepsPerStop, std::log10(2.) * 4 / (std::sqrt(12.) * goal.deviation));
   PENUMBRA_ASSIGN(planes, planes_from_rgb(radiance, steps));
-  const auto encode = [&](double coarseness) { return encode_measured(task, planes, coarseness); };
-  if (task.coder == WaveletCoder::kFast) return search_goal(goal, 2e-5, .5, .006, encode);
-  const double raw = 2. * kPlanes * static_cast<double>(radiance.area());
-  const double first = goal.max_bytes > 0 ? raw / static_cast<double>(goal.max_bytes) : 12;
-  const double most = std::max(2., raw / 64);
-  return search_goal(goal, 1.01, most, std::clamp(first * 1.01, 1.01, most), encode);
+  auto found = search_coarseness(task, planes, goal);
+  return goal.max_bytes > 0 ? measured(std::move(found), task, planes.scale) : found;
 }
 
 Result<CodedStill> encode_log_jpeg2000_exactly(const Image<Rgb>& radiance, const StillGoal& goal,
@@ -220,8 +235,8 @@ Result<CodedStill> encode_log_jpeg2000_exactly(const Image<Rgb>& radiance, const
   // Half a step off at most, less what floats round.
   const double steps = std::log10(2.) / (2 * goal.deviation) * 1.01;
   PENUMBRA_ASSIGN(planes, planes_from_rgb(radiance, steps));
-  PENUMBRA_ASSIGN(coded,
-                  encode_measured({radiance, coder_for(radiance, coder), environment}, planes, 0));
+  const StillTask task{radiance, coder_for(radiance, coder), environment};
+  PENUMBRA_ASSIGN(coded, measured(encode_planes(task, planes, 0), task, planes.scale));
   if (coded.error.luminance_max > goal.deviation)
     return fail(ErrorCode::kUndetermined, "goal",
                 "cannot be met: the picture's range leaves too few of 16 bits");

@@ -20,6 +20,7 @@
 #include "capture/frames.h"
 #include "codec/codec.h"
 #include "core/conventions.h"
+#include "core/io/files.h"
 
 namespace penumbra::capture {
 namespace fs = std::filesystem;
@@ -182,10 +183,8 @@ Result<void> read_sensor(const TomlKeys& keys, CameraInfo& info) {
 }
 
 bool is_float_file(const FrameRow& row) {
-  std::string extension = fs::path(row.file).extension().string();
-  std::ranges::transform(extension, extension.begin(),
-                         [](unsigned char c) { return std::tolower(c); });
-  return extension == ".exr" || extension == ".hdr";
+  const std::string extension = lower_extension(row.file);
+  return extension == ".exr" || extension == ".hdr" || extension == ".jph" || extension == ".jp2";
 }
 
 /// Three terms, or a file of `calibrate vignetting`.

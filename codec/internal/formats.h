@@ -2,9 +2,7 @@
 #pragma once
 
 #include <algorithm>
-#include <cctype>
 #include <cstdint>
-#include <filesystem>
 #include <span>
 #include <string>
 
@@ -40,13 +38,6 @@ inline Result<void> check_size(std::int64_t width, std::int64_t height, const st
 inline std::size_t count_non_finite(std::span<const Rgb> pixels) {
   return static_cast<std::size_t>(
       std::ranges::count_if(pixels, [](const Rgb& p) { return !is_finite(p); }));
-}
-
-inline std::string lower_extension(const std::filesystem::path& path) {
-  std::string text = path.extension().string();
-  std::ranges::transform(text, text.begin(),
-                         [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
-  return text;
 }
 
 }  // namespace penumbra::codec

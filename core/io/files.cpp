@@ -2,7 +2,9 @@
 
 #include <unistd.h>
 
+#include <algorithm>
 #include <atomic>
+#include <cctype>
 #include <cerrno>
 #include <cstring>
 #include <fstream>
@@ -50,6 +52,13 @@ Result<void> replace_file(const fs::path& target,
     return fail(ErrorCode::kUnwritable, target.string(), error.message());
   }
   return {};
+}
+
+std::string lower_extension(const std::filesystem::path& path) {
+  std::string text = path.extension().string();
+  std::ranges::transform(text, text.begin(),
+                         [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
+  return text;
 }
 
 Result<void> write_bytes(const fs::path& target, std::string_view bytes) {

@@ -21,6 +21,9 @@ namespace penumbra {
 Result<void> replace_file(const std::filesystem::path& target,
                           const std::function<Result<void>(const std::filesystem::path&)>& write);
 
+/// The extension with its dot, in lower case: ".exr" of "MAP.EXR".
+std::string lower_extension(const std::filesystem::path& path);
+
 /// replace_file for bytes at hand.
 Result<void> write_bytes(const std::filesystem::path& target, std::string_view bytes);
 

@@ -7,7 +7,9 @@
 
 #include "capture/capture.h"
 #include "codec/codec.h"
+#include "codec/log_jpeg2000.h"
 #include "core/conventions.h"
+#include "core/io/files.h"
 #include "tests/support/temp_folder.h"
 
 namespace penumbra::capture {
@@ -372,6 +374,27 @@ TEST(CaptureFolder, FloatFramesNeedNoResponse) {
   const auto frame = (*source)->next();
   ASSERT_TRUE(frame && *frame);
   EXPECT_EQ(std::get<Image<Rgb>>(*(*frame)->pixels).at(1, 1), (Rgb{.5f, 1, 2}));
+}
+
+TEST(CaptureFolder, FramesThatWereEncodedAreLinearToo) {
+  const HandMade made;
+  const auto coded = codec::encode_log_jpeg2000_exactly(
+      Image<Rgb>(kFolderWidth, kFolderHeight, {.5f, 1, 2}), {.deviation = .001});
+  ASSERT_TRUE(coded) << coded.error().detail;
+  ASSERT_TRUE(
+      write_bytes(made.path() / "environment" / "0.jph",
+                  {reinterpret_cast<const char*>(coded->bytes.data()), coded->bytes.size()}));
+  write_text(made.path() / "environment.csv",
+             "file,time_s,exposure_s,gain\nenvironment/0.jph,0,1,1\n");
+  write_text(made.path() / "capture.toml", replaced(kManifest, "response = \"srgb\"\n", ""));
+  const auto source = open_capture_folder(made.path());
+  ASSERT_TRUE(source.has_value()) << source.error().where << ": " << source.error().detail;
+  EXPECT_TRUE((*source)->cameras()[0].response.is_linear());
+  const auto frame = (*source)->next();
+  ASSERT_TRUE(frame && *frame);
+  const Rgb pixel = std::get<Image<Rgb>>(*(*frame)->pixels).at(1, 1);
+  EXPECT_NEAR(pixel.r, .5, .01);
+  EXPECT_NEAR(pixel.b, 2, .01);
 }
 
 }  // namespace

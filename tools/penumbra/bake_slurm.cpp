@@ -2,11 +2,11 @@
 #include <fmt/format.h>
 
 #include <algorithm>
-#include <cctype>
 #include <filesystem>
 #include <string>
 #include <vector>
 
+#include "core/io/files.h"
 #include "prt/clip/sequence.h"
 #include "runtime/scene/animated.h"
 #include "tools/farm/clip_stages.h"
@@ -47,8 +47,7 @@ bool is_file(const std::string& asset) {
 // Formats whose textures, buffers or materials lie in files of their own.
 Result<void> check_copy(const BakeCommandOptions& o) {
   if (!o.copy) return {};
-  std::string kind = fs::path(o.asset).extension().string();
-  std::ranges::transform(kind, kind.begin(), [](unsigned char c) { return std::tolower(c); });
+  const std::string kind = lower_extension(o.asset);
   if (is_file(o.asset) && kind != ".gltf" && kind != ".obj" && kind != ".dae") return {};
   return fail(ErrorCode::kInvalid, "--copy",
               is_file(o.asset) ? fmt::format("{} may have files beside it, which sbcast does not "

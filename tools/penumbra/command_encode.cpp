@@ -3,7 +3,6 @@
 #include <CLI/CLI.hpp>
 
 #include <algorithm>
-#include <cctype>
 #include <cmath>
 #include <filesystem>
 #include <optional>
@@ -36,9 +35,7 @@ struct DecodeOptions {
 constexpr double kBytesPerKb = 1000;
 
 Result<codec::WaveletCoder> coder_by_name(const std::string& path) {
-  std::string extension = std::filesystem::path(path).extension();
-  std::ranges::transform(extension, extension.begin(),
-                         [](unsigned char c) { return std::tolower(c); });
+  const std::string extension = lower_extension(path);
   if (extension == ".jph") return codec::WaveletCoder::kFast;
   if (extension == ".jp2") return codec::WaveletCoder::kSmall;
   return fail(ErrorCode::kInvalid, path, "ends neither in .jph nor in .jp2");
@@ -107,7 +104,7 @@ Result<void> encode(const EncodeOptions& o) {
 Result<void> decode(const DecodeOptions& o) {
   PENUMBRA_TRY(check_writable(o.output));
   PENUMBRA_ASSIGN(input, codec::read_hdr(o.input));
-  const bool is_exr = std::filesystem::path(o.output).extension() != ".hdr";
+  const bool is_exr = lower_extension(o.output) != ".hdr";
   if (!is_exr && has_unseen(input))
     log_warning("{}: its alpha, which says what was seen, is not kept in .hdr", o.input);
   PENUMBRA_TRY(codec::write_hdr(o.output, input.pixels, codec::Depth::kFloat, input.environment,

@@ -317,9 +317,7 @@ Result<void> inspect_cameras(bool as_json) {
 Result<json> describe(const std::string& file) {
   std::error_code error;
   if (fs::is_directory(file, error)) return inspect_capture(file, "capture folder");
-  std::string extension = fs::path(file).extension().string();
-  std::ranges::transform(extension, extension.begin(),
-                         [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
+  const std::string extension = lower_extension(file);
   const auto is_one_of = [&](std::initializer_list<std::string_view> kinds) {
     return std::ranges::find(kinds, extension) != kinds.end();
   };
@@ -341,7 +339,8 @@ Result<json> describe(const std::string& file) {
   if (is_one_of({".gltf", ".glb", ".obj", ".ply", ".stl", ".fbx", ".dae"}))
     return inspect_mesh(file);
   auto picture = inspect_picture(file);  // whatever its name
-  const bool named_so = is_one_of({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".exr", ".hdr"});
+  const bool named_so =
+      is_one_of({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".exr", ".hdr", ".jph", ".jp2"});
   if (picture || named_so || picture.error().code == ErrorCode::kNotFound) return picture;
   return fail(ErrorCode::kUnreadable, file,
               "is nothing that inspect understands: a picture (PNG, JPEG, TIFF, OpenEXR, Radiance "

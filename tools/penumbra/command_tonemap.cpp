@@ -2,7 +2,6 @@
 #include <CLI/CLI.hpp>
 
 #include <algorithm>
-#include <cctype>
 #include <cmath>
 #include <filesystem>
 #include <optional>
@@ -72,9 +71,7 @@ Result<void> write_gain_map(const std::string& path, const Image<Rgb>& radiance,
 }
 
 Result<void> check_is_jpeg(const std::string& path) {
-  std::string extension = std::filesystem::path(path).extension();
-  std::ranges::transform(extension, extension.begin(),
-                         [](unsigned char c) { return std::tolower(c); });
+  const std::string extension = lower_extension(path);
   if (extension == ".jpg" || extension == ".jpeg") return {};
   return fail(ErrorCode::kInvalid, "--gain-map", "needs a JPEG: " + path + " is none by its name");
 }
