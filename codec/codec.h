@@ -5,6 +5,7 @@
 #pragma once
 
 #include <cstddef>
+#include <cstdint>
 #include <filesystem>
 #include <optional>
 #include <span>
@@ -60,6 +61,13 @@ Result<FramePixels> read_frame(const std::filesystem::path& path);
 
 /// The same from memory; `name` stands in errors.
 Result<FramePixels> decode_frame(std::span<const unsigned char> bytes, const std::string& name);
+
+struct FrameWithAlpha {
+  FramePixels pixels;
+  Image<std::uint8_t> alpha{};  // in 8 bits; empty where there is none. PNG only
+};
+Result<FrameWithAlpha> decode_frame_with_alpha(std::span<const unsigned char> bytes,
+                                               const std::string& name);
 
 /// Writes PNG, JPEG or TIFF by extension, atomically.
 /// errors:  kInvalid (empty, unknown extension), kUnwritable

@@ -1,18 +1,17 @@
 #include "codec/gain_map_jpeg.h"
 
 #include <fmt/format.h>
-#include <turbojpeg.h>
 
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
-#include <memory>
 #include <string>
 #include <string_view>
 #include <variant>
 
 #include "codec/codec.h"
 #include "codec/display.h"
+#include "codec/internal/frame_codecs.h"
 #include "codec/internal/gain_map.h"
 #include "core/conventions.h"
 #include "core/median.h"
@@ -177,20 +176,6 @@ CodedGains gains_between(const Image<Rgb>& base, const Image<Rgb>& radiance) {
   return out;
 }
 
-// At the colours' full resolution, which OpenCV's coder halves: gains of a small sun are in it.
-Result<JpegBytes> encode_gains(const Image<Rgb8>& codes) {
-  static_assert(sizeof(Rgb8) == 3);
-  const std::unique_ptr<void, int (*)(void*)> coder(tjInitCompress(), tjDestroy);
-  unsigned char* bytes = nullptr;
-  unsigned long size = 0;
-  const bool coded = coder && tjCompress2(coder.get(), &codes.pixels()[0].r, codes.width(), 0,
-                                          codes.height(), TJPF_RGB, &bytes, &size, TJSAMP_444,
-                                          kGainQuality, TJFLAG_ACCURATEDCT) == 0;
-  const std::unique_ptr<unsigned char, void (*)(unsigned char*)> owner(bytes, tjFree);
-  if (!coded) return fail(ErrorCode::kUnwritable, "gain map", tjGetErrorStr2(coder.get()));
-  return JpegBytes(bytes, bytes + size);
-}
-
 // A JPEG with more segments after its start.
 JpegBytes with_segments(const JpegBytes& jpeg, const JpegBytes& segments) {
   JpegBytes out(jpeg.begin(), jpeg.begin() + 2);
@@ -214,7 +199,9 @@ Result<JpegBytes> encode_gain_map_jpeg(const Image<Rgb>& radiance, const Image<R
   PENUMBRA_ASSIGN(base_jpeg, encode_jpeg(base, quality));
   PENUMBRA_ASSIGN(shown, decode_frame(base_jpeg, "base"));
   const CodedGains gains = gains_between(linear_of(std::get<Image<Rgb8>>(shown)), radiance);
-  PENUMBRA_ASSIGN(gains_jpeg, encode_gains(gains.codes));
+  // At the colours' full resolution: gains of a small sun are in it.
+  PENUMBRA_ASSIGN(gains_jpeg,
+                  encode_jpeg(gains.codes, kGainQuality, JpegColours::kFull, "gain map"));
   JpegBytes head;
   add_segment(head, 0xe1, kXmpHead, xmp_metadata(gains.map));
   add_segment(head, 0xe2, kIsoHead, iso_metadata(gains.map));

@@ -10,7 +10,7 @@ namespace penumbra::codec {
 namespace {
 
 constexpr int kMaxCode = (1 << kLogLuvBits) - 1;
-constexpr float kStepsPerStop = 128, kColourSteps = 6400;
+constexpr float kLogLuvSteps = 128, kColourSteps = 6400;
 const float kLowestStop = std::log2(kLogLuvToe);
 
 std::uint16_t code_of(float steps) {
@@ -41,7 +41,7 @@ const std::array<float, kMaxCode + 1>& luminances() {
     std::array<float, kMaxCode + 1> out{};
     for (int i = 0; i <= kMaxCode; ++i)
       out[static_cast<std::size_t>(i)] =
-          std::exp2(static_cast<float>(i) / kStepsPerStop + kLowestStop);
+          std::exp2(static_cast<float>(i) / kLogLuvSteps + kLowestStop);
     return out;
   }();
   return table;
@@ -56,7 +56,7 @@ void log_luv_from_rgb(std::span<const Rgb> values, const LogLuvPlanes<std::uint1
     const float x = .4124f * r + .3576f * g + .1805f * b, y = .2126f * r + .7152f * g + .0722f * b,
                 z = .0193f * r + .1192f * g + .9505f * b;
     const float to_colour = kColourSteps / (x + 15 * y + 3 * z);
-    out.l[i] = code_of((log2_of(y) - kLowestStop) * kStepsPerStop);
+    out.l[i] = code_of((log2_of(y) - kLowestStop) * kLogLuvSteps);
     out.u[i] = code_of(to_colour * 4 * x);
     out.v[i] = code_of(to_colour * 9 * y);
   }

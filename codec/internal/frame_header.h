@@ -1,6 +1,6 @@
 // What can be said about a PNG, JPEG or TIFF file before it is decoded: its size, and whether all
-// of it is there. OpenCV's decoders allocate by the declared size and return a half-filled picture,
-// or print, when bytes are missing; so both are settled here first.
+// of it is there. Decoders allocate by the declared size, and libjpeg returns a half-filled picture
+// when bytes are missing; so both are settled here first.
 #pragma once
 
 #include <cstdint>

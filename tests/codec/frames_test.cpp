@@ -1,7 +1,14 @@
 #include <gtest/gtest.h>
+#include <tiffio.h>
+#include <turbojpeg.h>
 
+#include <array>
+#include <cstdint>
+#include <functional>
+#include <memory>
 #include <optional>
 #include <string>
+#include <utility>
 #include <variant>
 #include <vector>
 
@@ -126,6 +133,113 @@ TEST_F(Frames, AlphaIsDroppedNotMultiplied) {
   EXPECT_EQ(image.at(0, 0), (Rgb8{1, 2, 3}));
 }
 
+// A TIFF as its makers vary it: fields are set, then rows or tiles are written.
+ByteList tiff_of(const std::filesystem::path& path, const std::function<void(TIFF*)>& write) {
+  const std::unique_ptr<TIFF, void (*)(TIFF*)> file(TIFFOpen(path.c_str(), "w"), TIFFClose);
+  if (!file) return {};
+  TIFFSetField(file.get(), TIFFTAG_IMAGEWIDTH, 3);
+  TIFFSetField(file.get(), TIFFTAG_IMAGELENGTH, 2);
+  write(file.get());
+  TIFFFlush(file.get());
+  return read_bytes(path).value_or(ByteList());
+}
+
+void set_samples(TIFF* file, int bits, int samples, int photometric) {
+  TIFFSetField(file, TIFFTAG_BITSPERSAMPLE, bits);
+  TIFFSetField(file, TIFFTAG_SAMPLESPERPIXEL, samples);
+  TIFFSetField(file, TIFFTAG_PHOTOMETRIC, photometric);
+  TIFFSetField(file, TIFFTAG_PLANARCONFIG, PLANARCONFIG_CONTIG);
+  TIFFSetField(file, TIFFTAG_ROWSPERSTRIP, 1);
+}
+
+template <class Sample, std::size_t N>
+void write_two_rows(TIFF* file, std::array<Sample, N> samples) {
+  TIFFWriteScanline(file, samples.data(), 0, 0);
+  TIFFWriteScanline(file, samples.data() + N / 2, 1, 0);
+}
+
+TEST_F(Frames, TiffsPlanesTilesAndSamplesAreTakenAsTheyAre) {
+  const auto path = folder_.path() / "made.tif";
+  // Plane by plane, an alpha as the fourth.
+  const auto planes = expect<Rgb8>(read(tiff_of(path, [](TIFF* file) {
+    set_samples(file, 8, 4, PHOTOMETRIC_RGB);
+    TIFFSetField(file, TIFFTAG_PLANARCONFIG, PLANARCONFIG_SEPARATE);
+    for (int plane = 0; plane < 4; ++plane)
+      for (int y = 0; y < 2; ++y) {
+        const auto v = static_cast<std::uint8_t>(plane == 3 ? 0 : 40 * plane + 10 * y);
+        std::array<std::uint8_t, 3> row{v, static_cast<std::uint8_t>(v + 1),
+                                        static_cast<std::uint8_t>(v + 2)};
+        TIFFWriteScanline(file, row.data(), static_cast<std::uint32_t>(y),
+                          static_cast<std::uint16_t>(plane));
+      }
+  })));
+  ASSERT_EQ(planes.width(), 3);
+  EXPECT_EQ(planes.at(2, 1), (Rgb8{12, 52, 92}));
+  // One tile, larger than the picture.
+  const auto tile = expect<Rgb16>(read(tiff_of(path, [](TIFF* file) {
+    set_samples(file, 16, 3, PHOTOMETRIC_RGB);
+    TIFFSetField(file, TIFFTAG_TILEWIDTH, 16);
+    TIFFSetField(file, TIFFTAG_TILELENGTH, 16);
+    TIFFSetField(file, TIFFTAG_COMPRESSION, COMPRESSION_ADOBE_DEFLATE);
+    std::array<std::uint16_t, 3 * 16 * 16> samples{};
+    for (std::size_t i = 0; i < samples.size(); ++i)
+      samples[i] = static_cast<std::uint16_t>(70 * i);
+    TIFFWriteEncodedTile(file, 0, samples.data(), static_cast<tmsize_t>(sizeof samples));
+  })));
+  ASSERT_EQ(tile.height(), 2);
+  EXPECT_EQ(tile.at(1, 1), (Rgb16{70 * 51, 70 * 52, 70 * 53}));
+  // Linear floats, the light of a raw converter.
+  const auto light = expect<Rgb>(read(tiff_of(path, [](TIFF* file) {
+    set_samples(file, 32, 1, PHOTOMETRIC_MINISBLACK);
+    TIFFSetField(file, TIFFTAG_SAMPLEFORMAT, SAMPLEFORMAT_IEEEFP);
+    write_two_rows(file, std::array{.5f, 1.f, 2.f, 4.f, 8.f, 16.f});
+  })));
+  ASSERT_EQ(light.width(), 3);
+  EXPECT_EQ(light.at(1, 1), (Rgb{8, 8, 8}));
+  // White is 0, as in a scanner's file.
+  const auto inverted = expect<Rgb8>(read(tiff_of(path, [](TIFF* file) {
+    set_samples(file, 8, 1, PHOTOMETRIC_MINISWHITE);
+    write_two_rows(file, std::array<std::uint8_t, 6>{0, 1, 2, 3, 4, 255});
+  })));
+  ASSERT_EQ(inverted.width(), 3);
+  EXPECT_EQ(inverted.at(1, 0), (Rgb8{254, 254, 254}));
+  EXPECT_EQ(inverted.at(2, 1), (Rgb8{0, 0, 0}));
+}
+
+TEST_F(Frames, TiffsOfPalettesAreUnfoldedInTheOrderOfTheirRows) {
+  const auto image = expect<Rgb8>(read(tiff_of(folder_.path() / "made.tif", [](TIFF* file) {
+    set_samples(file, 8, 1, PHOTOMETRIC_PALETTE);
+    TIFFSetField(file, TIFFTAG_ORIENTATION, ORIENTATION_BOTLEFT);
+    std::array<std::uint16_t, 256> red{}, green{}, blue{};
+    red[1] = 65535, green[2] = 65535, blue[3] = 65535;
+    TIFFSetField(file, TIFFTAG_COLORMAP, red.data(), green.data(), blue.data());
+    write_two_rows(file, std::array<std::uint8_t, 6>{1, 2, 3, 0, 0, 1});
+  })));
+  ASSERT_EQ(image.width(), 3);
+  EXPECT_EQ(image.at(0, 0), (Rgb8{255, 0, 0}));
+  EXPECT_EQ(image.at(1, 0), (Rgb8{0, 255, 0}));
+  EXPECT_EQ(image.at(2, 1), (Rgb8{255, 0, 0}));
+}
+
+TEST_F(Frames, TiffsOfOtherSamplesAreRefusedByThem) {
+  const auto path = folder_.path() / "made.tif";
+  const auto read_kind = [&](int bits, int format) {
+    return read(tiff_of(path, [&](TIFF* file) {
+      set_samples(file, bits, 1, PHOTOMETRIC_MINISBLACK);
+      TIFFSetField(file, TIFFTAG_SAMPLEFORMAT, format);
+      write_two_rows(file, std::array<double, 6>{});
+    }));
+  };
+  for (const auto& [bits, format] : {std::pair{64, SAMPLEFORMAT_IEEEFP},
+                                     {32, SAMPLEFORMAT_UINT},
+                                     {16, SAMPLEFORMAT_INT},
+                                     {16, SAMPLEFORMAT_IEEEFP}}) {
+    const auto frame = read_kind(bits, format);
+    ASSERT_FALSE(frame) << bits;
+    EXPECT_EQ(frame.error().detail, "has neither 8-bit nor 16-bit nor float samples");
+  }
+}
+
 TEST_F(Frames, ExifOrientationDoesNotTurnThePicture) {
   const auto plain = encode_jpeg(ramp8(24, 16));
   ASSERT_TRUE(plain);
@@ -156,6 +270,20 @@ TEST_F(Frames, EveryTruncationIsAnError) {
       ASSERT_EQ(code(read(part)), ErrorCode::kUnreadable) << name << " cut to " << size;
     }
   }
+}
+
+TEST_F(Frames, JpegsOfAPrintersInksAreRefusedByThem) {
+  const std::unique_ptr<void, int (*)(void*)> coder(tjInitCompress(), tjDestroy);
+  const std::vector<unsigned char> inks(4 * 8 * 8, 90);
+  unsigned char* bytes = nullptr;
+  unsigned long size = 0;
+  ASSERT_EQ(
+      tjCompress2(coder.get(), inks.data(), 8, 0, 8, TJPF_CMYK, &bytes, &size, TJSAMP_444, 90, 0),
+      0);
+  const std::unique_ptr<unsigned char, void (*)(unsigned char*)> owner(bytes, tjFree);
+  const auto frame = read(ByteList(bytes, bytes + size));
+  ASSERT_FALSE(frame);
+  EXPECT_EQ(frame.error().detail, "has the inks of a printer (CMYK): save it as RGB");
 }
 
 TEST_F(Frames, JpegThumbnailEndIsNotThePicturesEnd) {

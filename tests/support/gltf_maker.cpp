@@ -1,13 +1,16 @@
 #include "tests/support/gltf_maker.h"
 
+#include <png.h>
+
+#include <algorithm>
 #include <array>
 #include <cmath>
 #include <fstream>
 #include <glm/geometric.hpp>
 #include <numbers>
-#include <opencv2/core.hpp>
-#include <opencv2/imgcodecs.hpp>
 #include <utility>
+
+#include "codec/codec.h"
 
 namespace penumbra::test {
 
@@ -90,19 +93,23 @@ GltfShape gltf_card(float width, float height) {
 }
 
 std::vector<unsigned char> encoded(const Image<prt::Rgba8>& picture, const std::string& extension) {
-  const bool alpha = extension == ".png";
-  cv::Mat mat(picture.height(), picture.width(), alpha ? CV_8UC4 : CV_8UC3);
-  for (int y = 0; y < picture.height(); ++y)
-    for (int x = 0; x < picture.width(); ++x) {
-      const prt::Rgba8& c = picture.at(x, y);
-      if (alpha)
-        mat.at<cv::Vec4b>(y, x) = {c.b, c.g, c.r, c.a};
-      else
-        mat.at<cv::Vec3b>(y, x) = {c.b, c.g, c.r};
-    }
-  std::vector<unsigned char> out;
-  cv::imencode(extension, mat, out);
-  return out;
+  if (extension == ".png") {
+    png_image image{};
+    image.version = PNG_IMAGE_VERSION;
+    image.width = static_cast<png_uint_32>(picture.width());
+    image.height = static_cast<png_uint_32>(picture.height());
+    image.format = PNG_FORMAT_RGBA;
+    png_alloc_size_t size = PNG_IMAGE_PNG_SIZE_MAX(image);
+    std::vector<unsigned char> out(size);
+    png_image_write_to_memory(&image, out.data(), &size, 0, picture.pixels().data(), 0, nullptr);
+    out.resize(size);
+    return out;
+  }
+  Image<Rgb8> colours(picture.width(), picture.height());
+  std::ranges::transform(picture.pixels(), colours.pixels().begin(), [](const prt::Rgba8& c) {
+    return Rgb8{c.r, c.g, c.b};
+  });
+  return codec::encode_jpeg(colours, 95).value_or(std::vector<unsigned char>());
 }
 
 int GltfMaker::add(const char* list, nlohmann::json thing) {

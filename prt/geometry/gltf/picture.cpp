@@ -2,8 +2,6 @@
 
 #include <fmt/format.h>
 
-#include <opencv2/core.hpp>
-#include <opencv2/imgcodecs.hpp>
 #include <optional>
 #include <string_view>
 #include <utility>
@@ -46,18 +44,6 @@ std::size_t jpeg_pixels(PictureBytes bytes) {
   return 0;
 }
 
-// The fourth channel of a PNG that has one, in 8 bits; empty else.
-cv::Mat alpha_of(PictureBytes bytes) {
-  const cv::Mat wrapped(1, static_cast<int>(bytes.size()), CV_8U,
-                        const_cast<unsigned char*>(bytes.data()));
-  const cv::Mat mat = cv::imdecode(wrapped, cv::IMREAD_UNCHANGED);
-  cv::Mat alpha;
-  if (mat.channels() != 4) return alpha;
-  cv::extractChannel(mat, alpha, 3);
-  if (alpha.depth() == CV_16U) alpha.convertTo(alpha, CV_8U, 1 / 257.);
-  return alpha.depth() == CV_8U ? alpha : cv::Mat();
-}
-
 std::uint8_t code_of_8(std::uint8_t v) {
   return v;
 }
@@ -66,14 +52,13 @@ std::uint8_t code_of_8(std::uint16_t v) {
 }
 
 template <class Pixel>
-Image<Rgba8> with_alpha(const Image<Pixel>& colours, const cv::Mat& alpha) {
+Image<Rgba8> with_alpha(const Image<Pixel>& colours, const Image<std::uint8_t>& alpha) {
   Image<Rgba8> out(colours.width(), colours.height());
-  const bool has = alpha.rows == colours.height() && alpha.cols == colours.width();
   for (int y = 0; y < out.height(); ++y)
     for (int x = 0; x < out.width(); ++x) {
       const Pixel& c = colours.at(x, y);
       out.at(x, y) = {code_of_8(c.r), code_of_8(c.g), code_of_8(c.b),
-                      has ? alpha.at<std::uint8_t>(y, x) : std::uint8_t{255}};
+                      alpha.empty() ? std::uint8_t{255} : alpha.at(x, y)};
     }
   return out;
 }
@@ -97,21 +82,16 @@ Result<TexturePicture> decode_picture(std::span<const unsigned char> bytes, cons
     return fail(ErrorCode::kInvalid, file,
                 fmt::format("{} has {} megapixels, and {} are the limit", whose, pixels >> 20,
                             kMaxPicturePixels >> 20));
-  auto frame = codec::decode_frame(bytes, file);
+  const auto frame = codec::decode_frame_with_alpha(bytes, file);
   if (!frame)
     return fail(frame.error().code, file, fmt::format("{}: {}", whose, frame.error().detail));
   TexturePicture out;
   out.mime = png ? "image/png" : "image/jpeg";
   out.file.assign(bytes.begin(), bytes.end());
-  try {
-    const cv::Mat alpha = png ? alpha_of(bytes) : cv::Mat();
-    if (const auto* codes = std::get_if<Image<Rgb8>>(&*frame))
-      out.codes = with_alpha(*codes, alpha);
-    else if (const auto* wide = std::get_if<Image<Rgb16>>(&*frame))
-      out.codes = with_alpha(*wide, alpha);
-  } catch (const cv::Exception& e) {
-    return fail(ErrorCode::kUnreadable, file, fmt::format("{}: {}", whose, e.what()));
-  }
+  if (const auto* codes = std::get_if<Image<Rgb8>>(&frame->pixels))
+    out.codes = with_alpha(*codes, frame->alpha);
+  else if (const auto* wide = std::get_if<Image<Rgb16>>(&frame->pixels))
+    out.codes = with_alpha(*wide, frame->alpha);
   if (out.codes.empty())
     return fail(ErrorCode::kUnreadable, file, whose + " has neither 8-bit nor 16-bit samples");
   return out;
