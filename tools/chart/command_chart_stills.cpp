@@ -27,8 +27,8 @@ constexpr int kMinSide = 64;
 // What a coder makes of the pictures, in the mean over them.
 struct StillFigures {
   std::string coder, setting;
-  double bits_per_pixel = 0, bytes = 0, log10_luminance_rms = 0, sarnoff = 0, pu21_psnr_db = 0,
-         flip = 0;
+  double bits_per_pixel = 0, bytes = 0, log10_luminance_rms = 0, pixel_rel_max = 0, sarnoff = 0,
+         psnr_db = 0, pu21_psnr_db = 0, flip = 0;
   double encode_ms = 0, decode_ms = 0;  // of a megapixel
 };
 
@@ -59,6 +59,19 @@ double log_luminance_error(const Image<Rgb>& truth, const Image<Rgb>& decoded) {
   return count > 0 ? std::sqrt(sum / count) : 0;
 }
 
+// Of a channel over the largest of its pixel, where that is normal for RGBE: what formats that keep
+// every pixel promise (Xu 2005, table 4.3).
+double largest_error(const Image<Rgb>& truth, const Image<Rgb>& decoded) {
+  double largest = 0;
+  for (std::size_t i = 0; i < truth.area(); ++i) {
+    const Rgb &a = truth.pixels()[i], &b = decoded.pixels()[i];
+    const double of = std::max({a.r, a.g, a.b});
+    if (of < 0x1p-126) continue;
+    for (int c = 0; c < 3; ++c) largest = std::max(largest, std::abs(double{b[c]} - a[c]) / of);
+  }
+  return largest;
+}
+
 // Shown so that the middle of the picture has 10 cd/m^2.
 double display_scale(const Image<Rgb>& picture) {
   std::vector<float> values;
@@ -76,6 +89,7 @@ Result<void> add_picture(const StillCoder& coder, const Image<Rgb>& picture, dou
                 result.error().where + ": " + result.error().detail);
   const CodedPicture& coded = *result;
   const double area = static_cast<double>(picture.area()), megapixels = area / 1e6;
+  PENUMBRA_ASSIGN(linear, luminance_error(picture, coded.decoded));
   PENUMBRA_ASSIGN(sarnoff, sarnoff_map(picture, coded.decoded));
   PENUMBRA_ASSIGN(pu21, pu21_error(picture, coded.decoded, display_scale(picture)));
   PENUMBRA_ASSIGN(flips, hdr_flip(picture, coded.decoded));
@@ -83,6 +97,8 @@ Result<void> add_picture(const StillCoder& coder, const Image<Rgb>& picture, dou
   out.bytes += fraction * static_cast<double>(coded.bytes);
   out.log10_luminance_rms += fraction * std::pow(log_luminance_error(picture, coded.decoded), 2);
   out.sarnoff += fraction * mean_sarnoff(sarnoff);
+  out.pixel_rel_max = std::max(out.pixel_rel_max, largest_error(picture, coded.decoded));
+  out.psnr_db += fraction * linear.psnr_db;
   out.pu21_psnr_db += fraction * pu21.psnr_db;
   out.flip += fraction * mean_flip(flips);
   out.encode_ms += fraction * coded.encode_ms / megapixels;
@@ -115,7 +131,9 @@ nlohmann::json to_json(const StillFigures& f) {
           {"bytes", f.bytes},
           {"bits_per_pixel", f.bits_per_pixel},
           {"log10_luminance_rms", f.log10_luminance_rms},
+          {"pixel_rel_max", f.pixel_rel_max},
           {"sarnoff", f.sarnoff},
+          {"psnr_db", f.psnr_db},
           {"pu21_psnr_db", f.pu21_psnr_db},
           {"flip", f.flip},
           {"encode_ms_per_megapixel", f.encode_ms},
@@ -124,12 +142,14 @@ nlohmann::json to_json(const StillFigures& f) {
 
 std::string still_table(const std::vector<StillFigures>& figures) {
   std::string out =
-      "coder,setting,bytes,bits_per_pixel,log10_luminance_rms,sarnoff,pu21_psnr_db,flip,"
+      "coder,setting,bytes,bits_per_pixel,log10_luminance_rms,pixel_rel_max,sarnoff,psnr_db,"
+      "pu21_psnr_db,flip,"
       "encode_ms_per_megapixel,decode_ms_per_megapixel\n";
   for (const StillFigures& f : figures)
-    out += fmt::format("\"{}\",{},{:.0f},{:.4g},{:.5g},{:.4g},{:.4g},{:.4g},{:.4g},{:.4g}\n",
-                       f.coder, f.setting, f.bytes, f.bits_per_pixel, f.log10_luminance_rms,
-                       f.sarnoff, f.pu21_psnr_db, f.flip, f.encode_ms, f.decode_ms);
+    out += fmt::format(
+        "\"{}\",{},{:.0f},{:.4g},{:.5g},{:.4g},{:.4g},{:.4g},{:.4g},{:.4g},{:.4g},{:.4g}\n",
+        f.coder, f.setting, f.bytes, f.bits_per_pixel, f.log10_luminance_rms, f.pixel_rel_max,
+        f.sarnoff, f.psnr_db, f.pu21_psnr_db, f.flip, f.encode_ms, f.decode_ms);
   return out;
 }
 
@@ -160,12 +180,14 @@ Result<void> chart_stills(const ChartOptions& o) {
     print_json({{"pictures", pictures.size()}, {"rows", rows}});
     return {};
   }
-  fmt::print("{:<27} {:<17} {:>8} {:>8} {:>8} {:>8} {:>6} {:>14}\n", "coder", "setting", "KB",
-             "log10", "Sarnoff", "PU21 dB", "FLIP", "ms/MP in, out");
+  fmt::print("{:<32} {:<17} {:>8} {:>8} {:>8} {:>8} {:>7} {:>7} {:>6} {:>14}\n", "coder", "setting",
+             "KB", "log10", "worst", "Sarnoff", "PSNR dB", "PU21 dB", "FLIP", "ms/MP in, out");
   for (const StillFigures& f : figures)
-    fmt::print("{:<27} {:<17} {:>8.1f} {:>8.4f} {:>8.4f} {:>8.2f} {:>6.3f} {:>7.0f} {:>6.0f}\n",
-               f.coder, f.setting, f.bytes / 1000, f.log10_luminance_rms, f.sarnoff, f.pu21_psnr_db,
-               f.flip, f.encode_ms, f.decode_ms);
+    fmt::print(
+        "{:<32} {:<17} {:>8.1f} {:>8.4f} {:>8.4f} {:>8.4f} {:>7.2f} {:>7.2f} {:>6.3f} {:>7.0f} "
+        "{:>6.0f}\n",
+        f.coder, f.setting, f.bytes / 1000, f.log10_luminance_rms, f.pixel_rel_max, f.sarnoff,
+        f.psnr_db, f.pu21_psnr_db, f.flip, f.encode_ms, f.decode_ms);
   fmt::print("{0}/stills.csv, {0}/rate-distortion.svg\n", o.output);
   return {};
 }

@@ -6,81 +6,15 @@
 #include <cstdint>
 #include <cstring>
 #include <memory>
-#include <numbers>
 
-#include "codec/range_coder.h"
-#include "core/conventions.h"
+#include "tools/chart/peers/internal/dct_coding.h"
 
 namespace penumbra::tools {
 
 namespace {
 
-constexpr int kBlock = 8, kMacro = 16, kReach = 7, kMaxSide = 4096;
+constexpr int kMacro = 16, kReach = 7, kMaxSide = 4096;
 constexpr std::uint32_t kMaxMaps = 1u << 16;
-
-// ITU-T T.81, table K.1.
-constexpr std::array<int, 64> kLuminance = {
-    16, 11, 10, 16, 24,  40,  51,  61,  12, 12, 14, 19, 26,  58,  60,  55,
-    14, 13, 16, 24, 40,  57,  69,  56,  14, 17, 22, 29, 51,  87,  80,  62,
-    18, 22, 37, 56, 68,  109, 103, 77,  24, 35, 55, 64, 81,  104, 113, 92,
-    49, 64, 78, 87, 103, 121, 120, 101, 72, 92, 95, 98, 112, 100, 103, 99};
-
-float quantiser(int quality, int index) {
-  const float scale =
-      quality < 50 ? 50.f / static_cast<float>(quality) : 2 - static_cast<float>(quality) / 50;
-  return std::max(.125f, scale * static_cast<float>(kLuminance[static_cast<std::size_t>(index)]));
-}
-
-const std::array<float, 64>& dct_matrix() {
-  static const std::array<float, 64> m = [] {
-    std::array<float, 64> out{};
-    for (int k = 0; k < kBlock; ++k)
-      for (int i = 0; i < kBlock; ++i)
-        out[static_cast<std::size_t>(k * kBlock + i)] =
-            static_cast<float>(std::sqrt((k == 0 ? 1. : 2.) / kBlock) *
-                               std::cos(std::numbers::pi * (2 * i + 1) * k / (2 * kBlock)));
-    return out;
-  }();
-  return m;
-}
-
-using DctBlock = std::array<float, 64>;
-
-// out = A in A^T, or with the transpose of A.
-DctBlock transformed(const DctBlock& in, bool inverse) {
-  const auto& a = dct_matrix();
-  const auto at = [&](int k, int i) {
-    return inverse ? a[static_cast<std::size_t>(i * kBlock + k)]
-                   : a[static_cast<std::size_t>(k * kBlock + i)];
-  };
-  DctBlock rows{}, out{};
-  for (int y = 0; y < kBlock; ++y)
-    for (int k = 0; k < kBlock; ++k)
-      for (int x = 0; x < kBlock; ++x)
-        rows[static_cast<std::size_t>(y * kBlock + k)] +=
-            at(k, x) * in[static_cast<std::size_t>(y * kBlock + x)];
-  for (int k = 0; k < kBlock; ++k)
-    for (int x = 0; x < kBlock; ++x)
-      for (int y = 0; y < kBlock; ++y)
-        out[static_cast<std::size_t>(k * kBlock + x)] +=
-            at(k, y) * rows[static_cast<std::size_t>(y * kBlock + x)];
-  return out;
-}
-
-// The order of diagonals.
-const std::array<int, 64>& zigzag() {
-  static const std::array<int, 64> order = [] {
-    std::array<int, 64> out{};
-    std::size_t n = 0;
-    for (int d = 0; d < 15; ++d)
-      for (int i = 0; i <= d; ++i) {
-        const int a = d % 2 == 0 ? d - i : i, b = d - a;
-        if (a < kBlock && b < kBlock) out[n++] = a * kBlock + b;
-      }
-    return out;
-  }();
-  return order;
-}
 
 struct Planes {
   Image<std::uint8_t> base, exponent, negative;
@@ -108,42 +42,11 @@ float joined(std::uint8_t base, std::uint8_t exponent, std::uint8_t negative) {
   return negative ? -v : v;
 }
 
-struct CoefficientModels {
-  std::array<codec::NumberModel, 64> coefficient;
-  // Is the coefficient at this place the last that is not zero?
-  std::array<codec::BitModel, 64> last;
-  codec::BitModel empty;
+struct VideoModels {
+  BlockModels block;
   codec::NumberModel motion[2];
   codec::NumberModel exponent[3];
   std::array<codec::BitModel, 8> negative;
-};
-
-// Bits to or from the stream: one code path says what is coded, so that both sides agree.
-class BitWriter {
- public:
-  bool bit(codec::BitModel& m, bool v) {
-    range_.bit(m, v);
-    return v;
-  }
-  int number(codec::NumberModel& m, int v) {
-    m.encode(range_, v);
-    return v;
-  }
-  std::vector<unsigned char> finish() { return std::move(range_).finish(); }
-  static constexpr bool kWrites = true;
-
- private:
-  codec::RangeEncoder range_;
-};
-class BitReader {
- public:
-  explicit BitReader(std::span<const unsigned char> bytes) : range_(bytes) {}
-  bool bit(codec::BitModel& m, bool) { return range_.bit(m); }
-  int number(codec::NumberModel& m, int) { return m.decode(range_); }
-  static constexpr bool kWrites = false;
-
- private:
-  codec::RangeDecoder range_;
 };
 
 template <class Stream>
@@ -248,8 +151,7 @@ class Coder {
       low = std::min(low, e);
       high = std::max(high, e);
     }
-    // Where exponents differ an error of the base is one of a larger value: coded finer.
-    const auto finer = static_cast<float>(high == low ? 1 : (high - low + 3) / 2);
+    const float finer = finer_where_exponents_differ(low, high);
     DctBlock guess{}, in{};
     for (int i = 0; i < 64; ++i) {
       const int x = x0 + i % kBlock, y = y0 + i / kBlock;
@@ -258,7 +160,8 @@ class Coder {
           static_cast<float>(at(p.base, x, y)) - guess[static_cast<std::size_t>(i)];
     }
     DctBlock coded = Stream::kWrites ? transformed(in, false) : DctBlock{};
-    code_coefficients(coded, finer);
+    code_block(stream_, models_->block, coded,
+               [&](int i) { return quantiser(kLuminanceSteps, quality_, i) / finer; });
     const DctBlock back = transformed(coded, true);
     for (int i = 0; i < 64; ++i) {
       const int x = x0 + i % kBlock, y = y0 + i / kBlock;
@@ -269,30 +172,10 @@ class Coder {
     }
   }
 
-  void code_coefficients(DctBlock& block, float finer) {
-    std::array<int, 64> values{};
-    int last = -1;
-    if constexpr (Stream::kWrites)
-      for (int k = 0; k < 64; ++k) {
-        const auto i = static_cast<std::size_t>(zigzag()[static_cast<std::size_t>(k)]);
-        values[static_cast<std::size_t>(k)] = static_cast<int>(
-            std::lround(block[i] * finer / quantiser(quality_, static_cast<int>(i))));
-        if (values[static_cast<std::size_t>(k)] != 0) last = k;
-      }
-    block.fill(0);
-    if (stream_.bit(models_->empty, last < 0)) return;
-    for (std::size_t k = 0; k < 64; ++k) {
-      const int v = stream_.number(models_->coefficient[k], values[k]);
-      const auto i = static_cast<std::size_t>(zigzag()[k]);
-      block[i] = static_cast<float>(v) * quantiser(quality_, static_cast<int>(i)) / finer;
-      if (v != 0 && stream_.bit(models_->last[k], static_cast<int>(k) == last)) return;
-    }
-  }
-
   Stream& stream_;
   int width_, height_, quality_;
   Planes before_;
-  std::unique_ptr<CoefficientModels> models_ = std::make_unique<CoefficientModels>();
+  std::unique_ptr<VideoModels> models_ = std::make_unique<VideoModels>();
 };
 
 struct VideoHead {

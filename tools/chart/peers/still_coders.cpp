@@ -5,6 +5,7 @@
 
 #include <algorithm>
 #include <chrono>
+#include <cmath>
 #include <span>
 #include <system_error>
 #include <utility>
@@ -15,6 +16,7 @@
 #include "codec/tone/tone_mapping.h"
 #include "tools/chart/peers/internal/jpeg_xl.h"
 #include "tools/chart/peers/light_coders.h"
+#include "tools/chart/peers/rgbe_still.h"
 
 namespace penumbra::tools {
 
@@ -44,6 +46,32 @@ Result<CodedPicture> run_coder(const std::function<Result<StillBytes>()>& encode
   return out;
 }
 
+Result<CodedPicture> read_back(const std::filesystem::path& file, CodedPicture out) {
+  Result<codec::HdrImage> decoded = codec::read_hdr(file);
+  if (decoded) out.decode_ms = timed_ms([&] { decoded = codec::read_hdr(file); });
+  std::error_code ignored;
+  out.bytes = std::filesystem::file_size(file, ignored);
+  std::filesystem::remove(file, ignored);
+  if (!decoded) return std::unexpected(decoded.error());
+  out.decoded = std::move(decoded->pixels);
+  return out;
+}
+
+// Every pixel within an error, in place of the fewest bits for the mean.
+Result<CodedPicture> code_every_pixel(const Image<Rgb>& picture, double error) {
+  return run_coder(
+      [&]() -> Result<StillBytes> {
+        PENUMBRA_ASSIGN(
+            coded, codec::encode_log_jpeg2000_exactly(picture, {.deviation = std::log10(1 + error)},
+                                                      codec::WaveletCoder::kSmall));
+        return std::move(coded.bytes);
+      },
+      [](const StillBytes& bytes) -> Result<Image<Rgb>> {
+        PENUMBRA_ASSIGN(image, codec::decode_log_jpeg2000(bytes, "picture"));
+        return std::move(image.pixels);
+      });
+}
+
 Result<CodedPicture> code_as_log_jpeg2000(const Image<Rgb>& picture, codec::WaveletCoder coder,
                                           std::size_t max_bytes) {
   return run_coder(
@@ -68,6 +96,22 @@ Result<CodedPicture> code_as_gain_map(const Image<Rgb>& picture, int quality) {
         PENUMBRA_ASSIGN(image, codec::decode_gain_map_jpeg(bytes, "picture"));
         return std::move(image.pixels);
       });
+}
+
+Result<CodedPicture> code_as_rgbe(const Image<Rgb>& picture, RgbeBase base, int quality) {
+  return run_coder([&] { return encode_rgbe_still(picture, base, quality); },
+                   [](const StillBytes& bytes) { return decode_rgbe_still(bytes, "picture"); });
+}
+
+// Through a file, whose bytes stay in the system's memory.
+Result<CodedPicture> code_as_radiance(const Image<Rgb>& picture,
+                                      const std::filesystem::path& folder) {
+  const std::filesystem::path file = folder / "still.hdr";
+  CodedPicture out = {};
+  Result<void> written = {};
+  out.encode_ms = timed_ms([&] { written = codec::write_hdr(file, picture); });
+  PENUMBRA_TRY(written);
+  return read_back(file, std::move(out));
 }
 
 Result<CodedPicture> code_as_jpeg_xl(const Image<Rgb>& picture, float distance) {
@@ -99,14 +143,7 @@ Result<CodedPicture> code_as_exr_still(const Image<Rgb>& picture, Imf::Compressi
   } catch (const std::exception& e) {
     return fail(ErrorCode::kUnwritable, file.string(), e.what());
   }
-  Result<codec::HdrImage> decoded = codec::read_hdr(file);
-  if (decoded) out.decode_ms = timed_ms([&] { decoded = codec::read_hdr(file); });
-  std::error_code ignored;
-  out.bytes = std::filesystem::file_size(file, ignored);
-  std::filesystem::remove(file, ignored);
-  if (!decoded) return std::unexpected(decoded.error());
-  out.decoded = std::move(decoded->pixels);
-  return out;
+  return read_back(file, std::move(out));
 }
 
 // Coder and decoder together: their times are not told apart.
@@ -133,6 +170,18 @@ std::vector<StillCoder> still_coders(const std::filesystem::path& folder) {
                        return code_as_log_jpeg2000(
                            p, coder, static_cast<std::size_t>(bits / 8 * double(p.area())));
                      }});
+  for (const double error : {.001, .01})
+    out.push_back({"log JPEG 2000, every pixel (ours)", fmt::format("{} %", 100 * error),
+                   [=](const Image<Rgb>& p) { return code_every_pixel(p, error); }});
+  for (const auto& [name, base] : {std::pair{"RGBE, AJPEG (Xu 2005)", RgbeBase::kAdaptiveJpeg},
+                                   {"RGBE, JPEG (Xu 2005)", RgbeBase::kJpeg}})
+    for (const int quality : {95, 85, 70, 50, 25})
+      out.push_back({name, fmt::format("quality {}", quality),
+                     [=](const Image<Rgb>& p) { return code_as_rgbe(p, base, quality); }});
+  out.push_back({"RGBE, arithmetic (Xu 2005)", "without loss",
+                 [](const Image<Rgb>& p) { return code_as_rgbe(p, RgbeBase::kLossless, 0); }});
+  out.push_back({"RGBE, Radiance's run lengths", "without loss",
+                 [=](const Image<Rgb>& p) { return code_as_radiance(p, folder); }});
   for (const float distance : {.3f, 1.f, 2.f, 4.f, 8.f})
     out.push_back({"JPEG XL", fmt::format("distance {}", distance),
                    [=](const Image<Rgb>& p) { return code_as_jpeg_xl(p, distance); }});

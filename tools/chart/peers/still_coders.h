@@ -25,9 +25,10 @@ struct StillCoder {
   std::function<Result<CodedPicture>(const Image<Rgb>&)> code;
 };
 
-/// Each at several settings, fine to coarse: log JPEG 2000 (ours, both coders of blocks), gain-map
-/// JPEG (ours), OpenEXR with PIZ and DWAA, JPEG XL, and AVIF as a picture of AV1 in 10-bit PQ.
-/// Pictures of even sides; files go to `folder` and are removed.
+/// Each at several settings, fine to coarse: log JPEG 2000 (ours, both coders of blocks, and within
+/// an error at every pixel), the dissertation's RGBE in three ways, Radiance's, gain-map JPEG
+/// (ours), OpenEXR with PIZ and DWAA, JPEG XL, and AVIF as a picture of AV1 in 10-bit PQ. Pictures
+/// of even sides; files go to `folder` and are removed.
 std::vector<StillCoder> still_coders(const std::filesystem::path& folder);
 
 }  // namespace penumbra::tools
