@@ -223,6 +223,7 @@ struct HttpApi::Impl {
     r.set_header("Cross-Origin-Resource-Policy", listed ? "cross-origin" : "same-origin");
     if (!listed) return;
     r.set_header("Access-Control-Allow-Origin", origin);
+    r.set_header("Access-Control-Expose-Headers", "Penumbra-Time-Ns");
     if (q.method != "OPTIONS") return;
     r.set_header("Access-Control-Allow-Methods", "GET, PATCH, POST, PUT, DELETE");
     r.set_header("Access-Control-Allow-Headers", "Content-Type, Authorization");

@@ -34,6 +34,11 @@ void no_frame_yet(Response& r) {
   reply(r, {{"error", "no frame has been composited yet"}}, 503);
 }
 
+// The capture time of a picture, which has no room for it: that of /v1/light for the map of a light.
+void tell_time(TimestampNs time, Response& r) {
+  r.set_header("Penumbra-Time-Ns", std::to_string(time.value));
+}
+
 // Writers of pictures write files.
 template <class Write>
 void reply_with_file(Response& r, const std::string& extension, const char* type, Write write) {
@@ -47,6 +52,7 @@ void reply_with_file(Response& r, const std::string& extension, const char* type
 void get_light(HttpContext& context, const Request& q, Response& r) {
   const auto s = context.sources.state.snapshot();
   if (!s.light.valid) return no_light_yet(r);
+  tell_time(s.light.time, r);
   if (!q.has_param("as")) return reply(r, light_json(s, context.options.stale_after_s));
   auto light = light_as(s.light, q.get_param_value("as"));
   if (!light) return refuse(r, light.error());
@@ -79,6 +85,7 @@ json histogram_of(const Environment& map) {
 void get_environment(HttpContext& context, const std::string& kind, Response& r) {
   const auto map = context.sources.state.environment();
   if (!map) return no_light_yet(r);
+  tell_time(map->time, r);
   if (kind == ".jpg") {
     const auto jpeg = context.environment_jpeg.of(map);
     if (!jpeg) return refuse(r, jpeg.error());
@@ -111,6 +118,7 @@ void get_environment(HttpContext& context, const std::string& kind, Response& r)
 void get_frame(HttpContext& context, const std::string& kind, Response& r) {
   const auto s = context.sources.state.snapshot();
   if (!s.frame) return no_frame_yet(r);
+  tell_time(s.now, r);
   if (kind == ".png")
     return reply_with_file(r, kind, "image/png", [&](const auto& path) {
       return codec::write_frame(path, codec::to_display(*s.frame));

@@ -456,7 +456,9 @@ TEST(PublishedState, HandsOutTheNewest) {
 void publish_something(PublishedState& state) {
   Environment room;
   room.radiance = capture::make_room_environment(128, 64);
+  room.time = {900'000};
   lighting::LightEstimate light = *lighting::estimate_map(room.radiance, {});
+  light.time = room.time;
   light.valid = true;
   state.publish_environment(room);
   Image<Rgb8> grey(32, 16);
@@ -478,7 +480,11 @@ TEST(HttpApi, PicturesAndMapsComeInTheFormatsThatAreAskedFor) {
     ASSERT_TRUE(response) << path;
     EXPECT_EQ(response->status, 200) << path;
     EXPECT_TRUE(response->body.starts_with(begin)) << path;
+    EXPECT_EQ(response->get_header_value("Penumbra-Time-Ns"),
+              std::string(path).starts_with("/v1/frame") ? "1000000" : "900000")
+        << path;
   }
+  EXPECT_EQ(s.client->Get("/v1/light")->get_header_value("Penumbra-Time-Ns"), "900000");
   EXPECT_EQ(s.client->Get("/v1/environment.png")->status, 404);
   const auto map = nlohmann::json::parse(s.client->Get("/v1/environment")->body);
   EXPECT_EQ(map["width"], 128);

@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cmath>
 #include <filesystem>
+#include <limits>
 
 #include "codec/codec.h"
 #include "core/conventions.h"
@@ -24,11 +25,27 @@ namespace {
 
 constexpr int kMinSide = 64;
 
+// Of a picture that a coder kept as it is a ratio to its error is none, and counts in no mean.
+class MeanRatio {
+ public:
+  void add(double db) {
+    if (!std::isfinite(db)) return;
+    sum_ += db;
+    ++count_;
+  }
+  double db() const { return count_ > 0 ? sum_ / count_ : std::numeric_limits<double>::infinity(); }
+
+ private:
+  double sum_ = 0;
+  int count_ = 0;
+};
+
 // What a coder makes of the pictures, in the mean over them.
 struct StillFigures {
   std::string coder, setting;
   double bits_per_pixel = 0, bytes = 0, log10_luminance_rms = 0, pixel_rel_max = 0, sarnoff = 0,
-         psnr_db = 0, pu21_psnr_db = 0, flip = 0;
+         flip = 0;
+  MeanRatio psnr, pu21_psnr;
   double encode_ms = 0, decode_ms = 0;  // of a megapixel
 };
 
@@ -98,8 +115,8 @@ Result<void> add_picture(const StillCoder& coder, const Image<Rgb>& picture, dou
   out.log10_luminance_rms += fraction * std::pow(log_luminance_error(picture, coded.decoded), 2);
   out.sarnoff += fraction * mean_sarnoff(sarnoff);
   out.pixel_rel_max = std::max(out.pixel_rel_max, largest_error(picture, coded.decoded));
-  out.psnr_db += fraction * linear.psnr_db;
-  out.pu21_psnr_db += fraction * pu21.psnr_db;
+  out.psnr.add(linear.psnr_db);
+  out.pu21_psnr.add(pu21.psnr_db);
   out.flip += fraction * mean_flip(flips);
   out.encode_ms += fraction * coded.encode_ms / megapixels;
   out.decode_ms += fraction * coded.decode_ms / megapixels;
@@ -133,8 +150,8 @@ nlohmann::json to_json(const StillFigures& f) {
           {"log10_luminance_rms", f.log10_luminance_rms},
           {"pixel_rel_max", f.pixel_rel_max},
           {"sarnoff", f.sarnoff},
-          {"psnr_db", f.psnr_db},
-          {"pu21_psnr_db", f.pu21_psnr_db},
+          {"psnr_db", f.psnr.db()},
+          {"pu21_psnr_db", f.pu21_psnr.db()},
           {"flip", f.flip},
           {"encode_ms_per_megapixel", f.encode_ms},
           {"decode_ms_per_megapixel", f.decode_ms}};
@@ -149,7 +166,7 @@ std::string still_table(const std::vector<StillFigures>& figures) {
     out += fmt::format(
         "\"{}\",{},{:.0f},{:.4g},{:.5g},{:.4g},{:.4g},{:.4g},{:.4g},{:.4g},{:.4g},{:.4g}\n",
         f.coder, f.setting, f.bytes, f.bits_per_pixel, f.log10_luminance_rms, f.pixel_rel_max,
-        f.sarnoff, f.psnr_db, f.pu21_psnr_db, f.flip, f.encode_ms, f.decode_ms);
+        f.sarnoff, f.psnr.db(), f.pu21_psnr.db(), f.flip, f.encode_ms, f.decode_ms);
   return out;
 }
 
@@ -187,7 +204,7 @@ Result<void> chart_stills(const ChartOptions& o) {
         "{:<32} {:<17} {:>8.1f} {:>8.4f} {:>8.4f} {:>8.4f} {:>7.2f} {:>7.2f} {:>6.3f} {:>7.0f} "
         "{:>6.0f}\n",
         f.coder, f.setting, f.bytes / 1000, f.log10_luminance_rms, f.pixel_rel_max, f.sarnoff,
-        f.psnr_db, f.pu21_psnr_db, f.flip, f.encode_ms, f.decode_ms);
+        f.psnr.db(), f.pu21_psnr.db(), f.flip, f.encode_ms, f.decode_ms);
   fmt::print("{0}/stills.csv, {0}/rate-distortion.svg\n", o.output);
   return {};
 }
