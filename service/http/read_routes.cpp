@@ -34,7 +34,7 @@ void no_frame_yet(Response& r) {
   reply(r, {{"error", "no frame has been composited yet"}}, 503);
 }
 
-// The capture time of a picture, which has no room for it: that of /v1/light for the map of a light.
+// The capture time of what has no room for it: a map has that of its light.
 void tell_time(TimestampNs time, Response& r) {
   r.set_header("Penumbra-Time-Ns", std::to_string(time.value));
 }
