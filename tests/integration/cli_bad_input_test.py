@@ -184,6 +184,12 @@ class BadConfiguration(CliTest):
                 (["--budget: is now --max-shadow-error"], "chart", "--budget", 1)):
             self.expect_refusal(words, *arguments)
 
+    def test_commands_of_other_programs_are_those_programs(self):
+        for command in (["demo"], ["calibrate", "camera"], ["chart"], ["compare"]):
+            one = subprocess.run([program(), *command, "--help"], capture_output=True, text=True, check=True).stdout
+            self.assertEqual(one, self.run_well(*command, "--help"))
+            self.assertIn("--json" if command[0] != "demo" else "--headless", one)
+
     def test_help_fits_the_screen(self):
         for command in ((), ("demo",), ("bake",), ("chart",), ("calibrate", "camera"), ("render",)):
             shown = self.run_well(*command, "--help")

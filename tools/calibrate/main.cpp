@@ -3,6 +3,7 @@
 
 int main(int argc, char** argv) {
   using namespace penumbra::tools;
+  keep_freed_memory();
   return run_program(argc, argv, "penumbra-calibrate", "Calibrate cameras and rigs",
                      [](CLI::App& app, Action& action) {
                        app.require_subcommand(1);

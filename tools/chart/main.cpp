@@ -4,6 +4,7 @@
 
 int main(int argc, char** argv) {
   using namespace penumbra::tools;
+  keep_freed_memory();
   return run_program(argc, argv, "penumbra-chart", "Error against time, and between pictures",
                      [](CLI::App& app, Action& action) {
                        app.require_subcommand(1);

@@ -1,6 +1,7 @@
 #include "tools/common/command.h"
 
 #include <fmt/format.h>
+#include <malloc.h>
 #include <spdlog/sinks/stdout_color_sinks.h>
 #include <spdlog/spdlog.h>
 
@@ -30,6 +31,12 @@ int report(const std::string& program, const Error& e) {
 
 void add_json(CLI::App* app, bool& json) {
   app->add_flag("--json", json, "Print one JSON object on standard output and nothing else");
+}
+
+void keep_freed_memory() {
+  constexpr int kLargest = 32 << 20;  // that malloc(3) takes
+  mallopt(M_MMAP_THRESHOLD, kLargest);
+  mallopt(M_TRIM_THRESHOLD, 1 << 30);
 }
 
 int run_program(int argc, char** argv, const std::string& name, const std::string& description,
