@@ -39,7 +39,8 @@ class PngReader {
 
   // After it, the size and the kind of samples are known.
   bool begin() {
-    if (!info_ || setjmp(png_jmpbuf(png_))) return false;
+    if (!info_) return false;
+    if (setjmp(png_jmpbuf(png_))) return false;
     png_set_read_fn(png_, this, [](png_structp png, png_bytep to, std::size_t size) {
       auto* self = static_cast<PngReader*>(png_get_io_ptr(png));
       if (self->bytes_.size() < size) png_error(png, "ends early");
@@ -47,6 +48,7 @@ class PngReader {
       self->bytes_ = self->bytes_.subspan(size);
     });
     png_set_user_limits(png_, kMaxSide, kMaxSide);
+    png_set_chunk_cache_max(png_, 1);  // of texts none: they may be large
     png_read_info(png_, info_);
     const png_byte colour = png_get_color_type(png_, info_);
     alpha = (colour & PNG_COLOR_MASK_ALPHA) || png_get_valid(png_, info_, PNG_INFO_tRNS);
@@ -110,7 +112,8 @@ void take_rgba(const PngReader& png, const std::vector<unsigned char>& rgba, Fra
 // As for recordings in camera's time: the fastest of zlib, which is half as large as none.
 bool write_png_rows(png_structp png, png_infop info, int width, int height, int bits,
                     png_bytepp rows, std::vector<unsigned char>& out) {
-  if (!info || setjmp(png_jmpbuf(png))) return false;
+  if (!info) return false;
+  if (setjmp(png_jmpbuf(png))) return false;
   png_set_write_fn(
       png, &out,
       [](png_structp to, png_bytep data, std::size_t size) {

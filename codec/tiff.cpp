@@ -1,5 +1,5 @@
-// TIFF through libtiff: grey and RGB of 8 bits, 16 bits and floats in strips or tiles, together or
-// plane by plane, as they are stored; palettes, inks, fewer bits and JPEG inside by libtiff's own
+// TIFF through libtiff: grey and RGB of 8 to 16 bits and floats in strips or tiles, together or plane
+// by plane, as they are stored; palettes, inks, fewer bits and JPEG inside by libtiff's own
 // conversion to RGB.
 #include <tiffio.h>
 
@@ -71,6 +71,8 @@ using TiffFile = std::unique_ptr<TIFF, void (*)(TIFF*)>;
 TiffFile open_tiff(TiffMemory& memory, const char* mode) {
   const std::unique_ptr<TIFFOpenOptions, void (*)(TIFFOpenOptions*)> options(TIFFOpenOptionsAlloc(),
                                                                              TIFFOpenOptionsFree);
+  constexpr tmsize_t kMaxAtOnce = tmsize_t{1} << 30;  // bytes
+  TIFFOpenOptionsSetMaxSingleMemAlloc(options.get(), kMaxAtOnce);
   TIFFOpenOptionsSetErrorHandlerExtR(options.get(), keep_message, &memory);
   TIFFOpenOptionsSetWarningHandlerExtR(options.get(), ignore_message, nullptr);
   return {TIFFClientOpenExt(
@@ -91,11 +93,21 @@ struct TiffLayout {
 
   int channels() const { return photometric == PHOTOMETRIC_RGB ? 3 : 1; }
   int in_block() const { return planes == PLANARCONFIG_CONTIG ? samples : 1; }
-  bool plain() const {
+  std::size_t row_bytes() const {
+    return (static_cast<std::size_t>(block_width) * static_cast<std::size_t>(in_block()) * bits +
+            7) /
+           8;
+  }
+  // A tile may be larger than its picture, within reason.
+  bool is_bounded() const {
+    constexpr int kBeyond_px = 4096, kMaxSamples = 32;
+    return block_width > 0 && block_height > 0 && block_width <= width + kBeyond_px &&
+           block_height <= height + kBeyond_px && samples <= kMaxSamples;
+  }
+  bool is_plain() const {
     const bool grey =
         photometric == PHOTOMETRIC_MINISBLACK || photometric == PHOTOMETRIC_MINISWHITE;
-    return (bits == 8 || bits == 16 || bits == 32) && samples >= channels() &&
-           (grey || photometric == PHOTOMETRIC_RGB);
+    return samples >= channels() && (grey || photometric == PHOTOMETRIC_RGB);
   }
 };
 
@@ -131,22 +143,33 @@ Code inverted(Code v) {
   return static_cast<Code>(1 - v);
 }
 
+// A sample of a row as it is stored; those of 9 to 15 bits lie close together, and become 16.
+template <class Code>
+Code sample_at(const unsigned char* row, std::size_t index, int bits) {
+  Code v{};
+  if (bits == 8 * int{sizeof v}) {
+    std::memcpy(&v, row + index * sizeof v, sizeof v);
+  } else if constexpr (sizeof v == 2) {
+    const std::size_t first = index * static_cast<std::size_t>(bits);
+    std::uint32_t three = 0;  // bytes
+    for (std::size_t i = 0; i < 3; ++i) three = three << 8 | row[first / 8 + i];
+    v = static_cast<Code>(three << (8 + first % 8) >> (32 - bits) << (16 - bits));
+  }
+  return v;
+}
+
 // The samples of one strip or tile into the picture's channels; of those beyond (alpha) none.
 template <class Pixel, class Code>
 void place_block(const TiffLayout& in, const std::vector<unsigned char>& block, int x0, int y0,
                  int plane, Image<Pixel>& out) {
   const int first = in.planes == PLANARCONFIG_CONTIG ? 0 : plane;
   const int count = in.planes == PLANARCONFIG_CONTIG ? in.channels() : 1;
-  for (int y = y0; y < std::min(y0 + in.block_height, in.height); ++y)
+  for (int y = y0; y < std::min(y0 + in.block_height, in.height); ++y) {
+    const unsigned char* const row = &block[static_cast<std::size_t>(y - y0) * in.row_bytes()];
     for (int x = x0; x < std::min(x0 + in.block_width, in.width); ++x)
       for (int c = 0; c < count; ++c) {
-        const std::size_t at =
-            (static_cast<std::size_t>(y - y0) * static_cast<std::size_t>(in.block_width) +
-             static_cast<std::size_t>(x - x0)) *
-                static_cast<std::size_t>(in.in_block()) +
-            static_cast<std::size_t>(c);
-        Code v;
-        std::memcpy(&v, &block[at * sizeof v], sizeof v);
+        auto v =
+            sample_at<Code>(row, static_cast<std::size_t>((x - x0) * in.in_block() + c), in.bits);
         if (in.photometric == PHOTOMETRIC_MINISWHITE) v = inverted(v);
         Pixel& to = out.at(x, y);
         if (in.channels() == 1)
@@ -154,28 +177,19 @@ void place_block(const TiffLayout& in, const std::vector<unsigned char>& block, 
         else
           (&to.r)[first + c] = v;
       }
+  }
 }
 
 template <class Pixel, class Code>
 Result<FramePixels> read_plain(TIFF* tiff, const TiffLayout& in, const TiffMemory& memory,
                                const std::string& name) {
-  const auto damaged = [&] {
-    return fail(ErrorCode::kUnreadable, name, "has damaged picture data: " + memory.message);
+  const auto damaged = [&](const std::string& why) {
+    return fail(ErrorCode::kUnreadable, name, "has damaged picture data: " + why);
   };
-  // A tile may be larger than its picture, within reason.
-  if (in.block_width < 1 || in.block_height < 1 || in.block_width > in.width + 65535 ||
-      in.block_height > in.height + 65535 ||
-      std::size_t{in.samples} * sizeof(Code) * static_cast<std::size_t>(in.block_width) *
-              static_cast<std::size_t>(in.block_height) >
-          std::size_t{1} << 31)
-    return fail(ErrorCode::kUnreadable, name, "has damaged picture data: tiles of no size");
-  const std::size_t bytes = static_cast<std::size_t>(in.block_width) *
-                            static_cast<std::size_t>(in.block_height) *
-                            static_cast<std::size_t>(in.in_block()) * sizeof(Code);
-  const auto expected =
-      static_cast<std::size_t>(in.tiled ? TIFFTileSize(tiff) : TIFFStripSize(tiff));
-  if (expected != bytes) return damaged();
-  std::vector<unsigned char> block(bytes);
+  const std::size_t bytes = in.row_bytes() * static_cast<std::size_t>(in.block_height);
+  if (bytes != static_cast<std::size_t>(in.tiled ? TIFFTileSize(tiff) : TIFFStripSize(tiff)))
+    return damaged("strips or tiles of another size than the picture has");
+  std::vector<unsigned char> block(bytes + 2);  // sample_at() looks two bytes further
   Image<Pixel> out(in.width, in.height);
   const int planes = in.planes == PLANARCONFIG_CONTIG ? 1 : in.channels();
   for (int plane = 0; plane < planes; ++plane)
@@ -189,7 +203,7 @@ Result<FramePixels> read_plain(TIFF* tiff, const TiffLayout& in, const TiffMemor
                                            block.data(), size)
                      : TIFFReadEncodedStrip(tiff, TIFFComputeStrip(tiff, row, sample), block.data(),
                                             size);
-        if (got < 0) return damaged();
+        if (got < 0) return damaged(memory.message);
         place_block<Pixel, Code>(in, block, x, y, plane, out);
       }
   return FramePixels(std::move(out));
@@ -198,6 +212,9 @@ Result<FramePixels> read_plain(TIFF* tiff, const TiffLayout& in, const TiffMemor
 // In the order of the file's rows, whichever way they are to be seen.
 Result<FramePixels> read_as_rgba(TIFF* tiff, const TiffLayout& in, const TiffMemory& memory,
                                  const std::string& name) {
+  std::array<char, 1024> why{};
+  if (!TIFFRGBAImageOK(tiff, why.data()))
+    return fail(ErrorCode::kUnreadable, name, std::string("is no picture for us: ") + why.data());
   std::uint16_t orientation = ORIENTATION_TOPLEFT;
   TIFFGetFieldDefaulted(tiff, TIFFTAG_ORIENTATION, &orientation);
   std::vector<std::uint32_t> raster(static_cast<std::size_t>(in.width) *
@@ -240,6 +257,7 @@ Result<std::vector<unsigned char>> encode_tiff_of(const Image<Pixel>& pixels,
     if (TIFFWriteScanline(tiff.get(), row.data(), static_cast<std::uint32_t>(y), 0) < 0)
       return refused();
   }
+  if (!TIFFFlush(tiff.get())) return refused();
   tiff.reset();
   return std::move(memory.written);
 }
@@ -253,13 +271,19 @@ Result<FramePixels> decode_tiff(Bytes bytes, const std::string& name) {
   if (!tiff) return fail(ErrorCode::kUnreadable, name, "is damaged: " + memory.message);
   const TiffLayout in = layout_of(tiff.get());
   PENUMBRA_TRY(check_size(in.width, in.height, name));
-  if (in.plain() && in.bits == 8 && in.format == SAMPLEFORMAT_UINT)
+  if (!in.is_bounded())
+    return fail(ErrorCode::kUnreadable, name, "is damaged: its tiles or samples are out of range");
+  if (in.photometric == PHOTOMETRIC_LOGL || in.photometric == PHOTOMETRIC_LOGLUV)
+    return fail(ErrorCode::kUnreadable, name,
+                "is a LogLuv TIFF: save it as OpenEXR or Radiance HDR");
+  const bool whole = in.format == SAMPLEFORMAT_UINT;
+  if (in.is_plain() && whole && in.bits == 8)
     return read_plain<Rgb8, std::uint8_t>(tiff.get(), in, memory, name);
-  if (in.plain() && in.bits == 16 && in.format == SAMPLEFORMAT_UINT)
+  if (in.is_plain() && whole && in.bits > 8 && in.bits <= 16)
     return read_plain<Rgb16, std::uint16_t>(tiff.get(), in, memory, name);
-  if (in.plain() && in.bits == 32 && in.format == SAMPLEFORMAT_IEEEFP)
+  if (in.is_plain() && in.format == SAMPLEFORMAT_IEEEFP && in.bits == 32)
     return read_plain<Rgb, float>(tiff.get(), in, memory, name);
-  if (in.bits > 8 || in.format != SAMPLEFORMAT_UINT)
+  if (in.bits > 16 || !whole)
     return fail(ErrorCode::kUnreadable, name, "has neither 8-bit nor 16-bit nor float samples");
   return read_as_rgba(tiff.get(), in, memory, name);
 }

@@ -13,9 +13,12 @@ namespace penumbra::codec {
 
 /// errors: kUnreadable (damaged)
 Result<FrameWithAlpha> decode_png(Bytes bytes, const std::string& name);
-/// errors: kUnreadable (damaged, in CMYK)
+/// Of a printer's inks (CMYK) as they look on white paper.
+/// errors: kUnreadable (damaged)
 Result<Image<Rgb8>> decode_jpeg(Bytes bytes, const std::string& name);
-/// errors: kUnreadable (damaged, samples of another kind than 8-bit, 16-bit and float)
+/// 9 to 15 bits come as 16, the largest code near 65535.
+/// errors: kUnreadable (damaged, LogLuv, samples that are neither whole numbers of up to 16 bits nor
+///         floats)
 Result<FramePixels> decode_tiff(Bytes bytes, const std::string& name);
 
 /// Whether colours are kept at full resolution or at half.

@@ -1,4 +1,5 @@
 #include <gtest/gtest.h>
+#include <png.h>
 #include <tiffio.h>
 #include <turbojpeg.h>
 
@@ -206,6 +207,34 @@ TEST_F(Frames, TiffsPlanesTilesAndSamplesAreTakenAsTheyAre) {
   EXPECT_EQ(inverted.at(2, 1), (Rgb8{0, 0, 0}));
 }
 
+TEST_F(Frames, TiffsOfTwelveBitsFillSixteen) {
+  const auto image = expect<Rgb16>(read(tiff_of(folder_.path() / "made.tif", [](TIFF* file) {
+    set_samples(file, 12, 1, PHOTOMETRIC_MINISBLACK);
+    // Three samples a row: fff 800 001, and 123 456 789 with half a byte left.
+    write_two_rows(file, std::array<std::uint8_t, 10>{0xff, 0xf8, 0x00, 0x00, 0x10, 0x12, 0x34,
+                                                      0x56, 0x78, 0x90});
+  })));
+  ASSERT_EQ(image.width(), 3);
+  EXPECT_EQ(image.at(0, 0).r, 0xfff0);
+  EXPECT_EQ(image.at(1, 0).r, 0x8000);
+  EXPECT_EQ(image.at(2, 0).r, 0x0010);
+  EXPECT_EQ(image.at(0, 1).r, 0x1230);
+  EXPECT_EQ(image.at(2, 1).r, 0x7890);
+}
+
+TEST_F(Frames, ATileFarLargerThanItsPictureIsRefused) {
+  const auto frame = read(tiff_of(folder_.path() / "made.tif", [](TIFF* file) {
+    set_samples(file, 8, 1, PHOTOMETRIC_MINISBLACK);
+    TIFFSetField(file, TIFFTAG_TILEWIDTH, 16384);
+    TIFFSetField(file, TIFFTAG_TILELENGTH, 16);
+    const std::vector<std::uint8_t> samples(16384 * 16);
+    TIFFSetField(file, TIFFTAG_COMPRESSION, COMPRESSION_ADOBE_DEFLATE);
+    TIFFWriteEncodedTile(file, 0, const_cast<std::uint8_t*>(samples.data()), 16384 * 16);
+  }));
+  ASSERT_FALSE(frame);
+  EXPECT_EQ(frame.error().detail, "is damaged: its tiles or samples are out of range");
+}
+
 TEST_F(Frames, TiffsOfPalettesAreUnfoldedInTheOrderOfTheirRows) {
   const auto image = expect<Rgb8>(read(tiff_of(folder_.path() / "made.tif", [](TIFF* file) {
     set_samples(file, 8, 1, PHOTOMETRIC_PALETTE);
@@ -272,18 +301,106 @@ TEST_F(Frames, EveryTruncationIsAnError) {
   }
 }
 
-TEST_F(Frames, JpegsOfAPrintersInksAreRefusedByThem) {
+// `size` bytes of TurboJPEG's own in a list.
+ByteList jpeg_of(int pixel_format, int bytes_a_pixel, int subsampling) {
   const std::unique_ptr<void, int (*)(void*)> coder(tjInitCompress(), tjDestroy);
-  const std::vector<unsigned char> inks(4 * 8 * 8, 90);
+  std::vector<unsigned char> picture;
+  for (int i = 0; i < 48 * 48 * bytes_a_pixel; ++i)
+    picture.push_back(static_cast<unsigned char>(i % bytes_a_pixel == 3 ? 200 : 60 + i % 7));
   unsigned char* bytes = nullptr;
   unsigned long size = 0;
-  ASSERT_EQ(
-      tjCompress2(coder.get(), inks.data(), 8, 0, 8, TJPF_CMYK, &bytes, &size, TJSAMP_444, 90, 0),
-      0);
+  EXPECT_EQ(tjCompress2(coder.get(), picture.data(), 48, 0, 48, pixel_format, &bytes, &size,
+                        subsampling, 95, TJFLAG_PROGRESSIVE),
+            0);
   const std::unique_ptr<unsigned char, void (*)(unsigned char*)> owner(bytes, tjFree);
-  const auto frame = read(ByteList(bytes, bytes + size));
-  ASSERT_FALSE(frame);
-  EXPECT_EQ(frame.error().detail, "has the inks of a printer (CMYK): save it as RGB");
+  return ByteList(bytes, bytes + size);
+}
+
+TEST_F(Frames, JpegsOfAPrintersInksShowWhatTheyPrint) {
+  const auto image = expect<Rgb8>(read(jpeg_of(TJPF_CMYK, 4, TJSAMP_444)));
+  ASSERT_EQ(image.width(), 48);
+  for (const Rgb8& p : image.pixels()) EXPECT_NEAR(p.r, 63 * 200 / 255, 6);
+}
+
+TEST_F(Frames, JpegsOfAnySubsamplingAndVersionAreRead) {
+  ByteList jpeg = jpeg_of(TJPF_RGB, 3, TJSAMP_422);
+  ASSERT_TRUE(read(jpeg));
+  for (std::size_t i = 0; i + 9 < jpeg.size(); ++i) {
+    if (jpeg[i] == 0xff && jpeg[i + 1] == 0xe0) jpeg[i + 9] = 2;  // JFIF 2: a warning
+    // 4x1, which has no name in TurboJPEG
+    if (jpeg[i] == 0xff && jpeg[i + 1] == 0xc2) jpeg[i + 11] = 0x41;
+  }
+  EXPECT_TRUE(read(jpeg));
+}
+
+// A warning before it must not make an error one.
+TEST_F(Frames, AJpegThatEndsInAnErrorIsRefusedThoughItWarnedBefore) {
+  ByteList jpeg = jpeg_of(TJPF_RGB, 3, TJSAMP_444);
+  std::vector<std::size_t> scans;
+  for (std::size_t i = 0; i + 1 < jpeg.size(); ++i)
+    if (jpeg[i] == 0xff && jpeg[i + 1] == 0xda) scans.push_back(i);
+  ASSERT_GT(scans.size(), 3u);
+  for (std::size_t i = scans[0] + 15; i < scans[0] + 18; ++i) jpeg[i] ^= 0x15;
+  const auto warned = read(jpeg);
+  ASSERT_TRUE(warned) << warned.error().detail;
+  jpeg[scans.back() + 5] = 77;  // a component that there is not
+  EXPECT_EQ(code(read(jpeg)), ErrorCode::kUnreadable);
+}
+
+// A PNG of `bits` a sample in seven passes, 8 x 8, whose column i has the code i of 2^bits.
+ByteList png_of(int colour, int bits) {
+  ByteList out;
+  png_structp png = png_create_write_struct(PNG_LIBPNG_VER_STRING, nullptr, nullptr, nullptr);
+  png_infop info = png_create_info_struct(png);
+  png_set_write_fn(
+      png, &out,
+      [](png_structp to, png_bytep data, std::size_t size) {
+        auto* bytes = static_cast<ByteList*>(png_get_io_ptr(to));
+        bytes->insert(bytes->end(), data, data + size);
+      },
+      [](png_structp) {});
+  png_set_IHDR(png, info, 8, 8, bits, colour, PNG_INTERLACE_ADAM7, PNG_COMPRESSION_TYPE_DEFAULT,
+               PNG_FILTER_TYPE_DEFAULT);
+  const std::array<png_color, 2> palette{{{250, 10, 20}, {30, 240, 50}}};
+  const std::array<png_byte, 2> alpha{255, 7};
+  if (colour == PNG_COLOR_TYPE_PALETTE) {
+    png_set_PLTE(png, info, palette.data(), 2);
+    png_set_tRNS(png, info, alpha.data(), 2, nullptr);
+  }
+  png_write_info(png, info);
+  png_set_packing(png);
+  std::array<std::array<png_byte, 64>, 8> rows{};
+  std::array<png_bytep, 8> pointers{};
+  for (std::size_t y = 0; y < 8; ++y) {
+    pointers[y] = rows[y].data();
+    for (std::size_t x = 0; x < 64; ++x)
+      rows[y][x] = static_cast<png_byte>(bits < 8 ? x % 2 : 4 * x);
+  }
+  png_write_image(png, pointers.data());
+  png_write_end(png, info);
+  png_destroy_write_struct(&png, &info);
+  return out;
+}
+
+TEST_F(Frames, PngsOfPalettesAndFewBitsAreUnfolded) {
+  const auto palette = png_of(PNG_COLOR_TYPE_PALETTE, 1);
+  const auto image = expect<Rgb8>(read(palette));
+  ASSERT_EQ(image.width(), 8);
+  EXPECT_EQ(image.at(0, 5), (Rgb8{250, 10, 20}));
+  EXPECT_EQ(image.at(3, 2), (Rgb8{30, 240, 50}));
+  const auto with_alpha = decode_frame_with_alpha(palette, "palette");
+  ASSERT_TRUE(with_alpha);
+  EXPECT_EQ(with_alpha->alpha.at(0, 0), 255);
+  EXPECT_EQ(with_alpha->alpha.at(1, 7), 7);
+  const auto bits = expect<Rgb8>(read(png_of(PNG_COLOR_TYPE_GRAY, 1)));
+  ASSERT_EQ(bits.width(), 8);
+  EXPECT_EQ(bits.at(1, 1), (Rgb8{255, 255, 255}));
+  const auto wide = decode_frame_with_alpha(png_of(PNG_COLOR_TYPE_RGB_ALPHA, 16), "wide");
+  ASSERT_TRUE(wide);
+  const auto* codes = std::get_if<Image<Rgb16>>(&wide->pixels);
+  ASSERT_TRUE(codes);
+  EXPECT_EQ(codes->at(1, 3), (Rgb16{32 * 256 + 36, 40 * 256 + 44, 48 * 256 + 52}));
+  EXPECT_EQ(wide->alpha.at(1, 3), 56);  // of 56 * 256 + 60
 }
 
 TEST_F(Frames, JpegThumbnailEndIsNotThePicturesEnd) {
@@ -332,15 +449,25 @@ TEST_F(Frames, WhatIsNoPictureIsRefused) {
 }
 
 TEST_F(Frames, DamageNeverCrashes) {
-  // Few rounds: behind the checks of this folder stand libpng, libjpeg and libtiff, which are not
-  // its own to fuzz, and which print.
-  for (const char* name : {"a.png", "a.jpg", "a.tif"}) {
+  const auto tiles = tiff_of(folder_.path() / "made.tif", [](TIFF* file) {
+    set_samples(file, 16, 3, PHOTOMETRIC_RGB);
+    TIFFSetField(file, TIFFTAG_PLANARCONFIG, PLANARCONFIG_SEPARATE);
+    TIFFSetField(file, TIFFTAG_TILEWIDTH, 16);
+    TIFFSetField(file, TIFFTAG_TILELENGTH, 16);
+    std::array<std::uint16_t, 256> samples{};
+    for (std::uint32_t plane = 0; plane < 3; ++plane)
+      TIFFWriteEncodedTile(file, plane, samples.data(), static_cast<tmsize_t>(sizeof samples));
+  });
+  int which = 0;
+  for (const ByteList& whole : {bytes_of("a.png", ramp8(6, 5)), bytes_of("a.jpg", ramp8(6, 5)),
+                                bytes_of("a.tif", ramp8(6, 5)), png_of(PNG_COLOR_TYPE_PALETTE, 1),
+                                jpeg_of(TJPF_CMYK, 4, TJSAMP_444), tiles}) {
     int errors = 0;
-    test::mutate_and_run(bytes_of(name, ramp8(6, 5)), 60, 21,
-                         [&](std::span<const unsigned char> bytes) {
-                           errors += !read(ByteList(bytes.begin(), bytes.end()));
-                         });
-    EXPECT_GT(errors, 5) << name;
+    test::mutate_and_run(whole, 150, 21, [&](std::span<const unsigned char> bytes) {
+      errors += !decode_frame(bytes, "mutated");
+    });
+    EXPECT_GT(errors, 5) << which;
+    ++which;
   }
 }
 

@@ -43,7 +43,7 @@ Result<void> write_rates(const OutputFolder& output, const std::vector<RatePoint
                          const RateNames& names) {
   std::string csv = fmt::format("coder,setting,bytes,{}\n", names.error_column);
   for (const RatePoint& p : points)
-    csv += fmt::format("{},{},{},{:.6g}\n", p.coder, p.setting, p.bytes, p.error);
+    csv += fmt::format("\"{}\",{},{},{:.6g}\n", p.coder, p.setting, p.bytes, p.error);
   PENUMBRA_TRY(write_bytes(output.file("rate-distortion.csv"), csv));
   if (const auto plot = run_gnuplot(plot_of(points, names), output.file("rate-distortion.svg"));
       !plot)
