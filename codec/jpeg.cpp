@@ -1,5 +1,6 @@
-// JPEG: decoded by libjpeg, which tells a warning from an error, and coded by TurboJPEG. libjpeg leaves
-// by longjmp on an error: what has a destructor stands outside of the functions that call setjmp.
+// JPEG: decoded by libjpeg, which tells a warning from an error, and coded by TurboJPEG. libjpeg
+// leaves by longjmp on an error: what has a destructor stands outside of the functions that call
+// setjmp.
 #include <turbojpeg.h>
 
 #include <array>

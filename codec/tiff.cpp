@@ -1,5 +1,5 @@
-// TIFF through libtiff: grey and RGB of 8 to 16 bits and floats in strips or tiles, together or plane
-// by plane, as they are stored; palettes, inks, fewer bits and JPEG inside by libtiff's own
+// TIFF through libtiff: grey and RGB of 8 to 16 bits and floats in strips or tiles, together or
+// plane by plane, as they are stored; palettes, inks, fewer bits and JPEG inside by libtiff's own
 // conversion to RGB.
 #include <tiffio.h>
 

@@ -47,8 +47,8 @@ struct Sibling {
 
 void add_json(CLI::App* app, bool& json);
 
-/// For a program that ends soon: memory of pictures that come and go is not given back to the system
-/// in between. That took a fifth of the time of calibrations and charts.
+/// For a program that ends soon: memory of pictures that come and go is not given back to the
+/// system in between. That took a fifth of the time of calibrations and charts.
 void keep_freed_memory();
 
 /// Parses and runs. Returns the exit status: 0, or 2 after one line on standard error. `siblings`
