@@ -32,8 +32,8 @@ struct JpegFailure {
   jpeg->err->format_message(jpeg, failure->text.data());
   std::longjmp(failure->way_out, 1);
 }
-// Warnings are about bytes that cameras leave between segments, or a smudge: what is there is shown,
-// as browsers do.
+// Warnings are about bytes that cameras leave between segments, or a smudge: what is there is
+// shown, as browsers do.
 void ignore_jpeg_message(j_common_ptr, int) {}
 void count_scans(j_common_ptr jpeg) {
   auto* failure = static_cast<JpegFailure*>(jpeg->client_data);

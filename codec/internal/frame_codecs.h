@@ -17,8 +17,8 @@ Result<FrameWithAlpha> decode_png(Bytes bytes, const std::string& name);
 /// errors: kUnreadable (damaged)
 Result<Image<Rgb8>> decode_jpeg(Bytes bytes, const std::string& name);
 /// 9 to 15 bits come as 16, the largest code near 65535.
-/// errors: kUnreadable (damaged, LogLuv, samples that are neither whole numbers of up to 16 bits nor
-///         floats)
+/// errors: kUnreadable (damaged, LogLuv, samples that are neither whole numbers of up to 16 bits
+///         nor floats)
 Result<FramePixels> decode_tiff(Bytes bytes, const std::string& name);
 
 /// Whether colours are kept at full resolution or at half.
