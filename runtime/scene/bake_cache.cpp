@@ -121,6 +121,10 @@ std::optional<Lock> lock_for(const std::optional<fs::path>& folder, const fs::pa
   return std::optional<Lock>(std::in_place, fs::path(file).replace_extension(".lock"), name);
 }
 
+void tell_progress(const auto& options, double done) {
+  if (options.progress) options.progress(done);
+}
+
 template <class Baked>
 void mark_used(const Result<Baked>& recalled, const fs::path& file) {
   std::error_code ignored;
@@ -141,9 +145,13 @@ Result<prt::BakedObject> bake_or_recall(const std::string& name, prt::Mesh mesh,
   if (folder)
     if (auto recalled = recall()) return recalled;
   if (cache == BakeCache::kOnly) return not_baked(name);
+  tell_progress(options, 0);  // also of one that waits for another program
   const std::optional<Lock> lock = lock_for(folder, file, name);
   if (lock)  // who held it before has baked it
-    if (auto recalled = recall()) return recalled;
+    if (auto recalled = recall()) {
+      tell_progress(options, 1);
+      return recalled;
+    }
   auto baked = prt::bake(std::move(mesh), options);
   if (!baked) return fail(baked.error().code, name, baked.error().detail);
   log_info(
@@ -247,9 +255,13 @@ Result<prt::BakedSequence> bake_or_recall(const std::string& name, const prt::Ch
   if (folder)
     if (auto recalled = recall()) return recalled;
   if (cache == BakeCache::kOnly) return not_baked(name);
+  tell_progress(options, 0);  // also of one that waits for another program
   const std::optional<Lock> lock = lock_for(folder, file, name);
   if (lock)  // who held it before has baked it
-    if (auto recalled = recall()) return recalled;
+    if (auto recalled = recall()) {
+      tell_progress(options, 1);
+      return recalled;
+    }
   tell_work(name, character, clip, options);
   Result<prt::BakedSequence> sequence =
       fail(ErrorCode::kUnwritable, name, "cannot keep its baked frames");

@@ -6,6 +6,7 @@
 #include <sys/file.h>
 #include <unistd.h>
 
+#include <array>
 #include <atomic>
 #include <chrono>
 #include <cstdlib>
@@ -75,18 +76,25 @@ TEST(BakeCache, TwoThatWantTheSameBakeItOnce) {
   const OwnCache cache;
   const auto asset = load_asset("builtin:ball", {.7f, .7f, .7f}, 0);
   ASSERT_TRUE(asset) << asset.error().detail;
-  std::atomic<int> baked = 0;
+  std::array<std::vector<double>, 2> told;  // of its progress
   std::vector<Result<prt::BakedObject>> results;
   for (int i = 0; i < 2; ++i)
     results.push_back(fail(ErrorCode::kNotFound, "ball", "is not there yet"));
   {
     std::vector<std::jthread> threads;
-    for (auto& result : results)
-      threads.emplace_back([&] {
+    for (std::size_t i = 0; i < 2; ++i)
+      threads.emplace_back([&, i] {
         prt::BakeOptions options = few_rays();
-        options.progress = [&](double done) { baked += done == 1; };
-        result = bake_or_recall("ball", asset->mesh, options, BakeCache::kUsed);
+        options.progress = [&, i](double done) { told[i].push_back(done); };
+        results[i] = bake_or_recall("ball", asset->mesh, options, BakeCache::kUsed);
       });
+  }
+  int baked = 0;
+  for (const std::vector<double>& one : told) {
+    ASSERT_GE(one.size(), 2u);
+    EXPECT_EQ(one.front(), 0) << "who waits is seen to, too";
+    EXPECT_EQ(one.back(), 1);
+    baked += one.size() > 2;
   }
   EXPECT_EQ(baked, 1);
   ASSERT_TRUE(results[0] && results[1]);
