@@ -143,7 +143,8 @@ Code inverted(Code v) {
   return static_cast<Code>(1 - v);
 }
 
-// A sample of a row as it is stored; those of 9 to 15 bits lie close together, and become 16.
+// A sample of a row as it is stored; those of 9 to 15 bits lie close together, and become 16: the
+// largest code the largest, so that what is saturated stays so.
 template <class Code>
 Code sample_at(const unsigned char* row, std::size_t index, int bits) {
   Code v{};
@@ -153,7 +154,8 @@ Code sample_at(const unsigned char* row, std::size_t index, int bits) {
     const std::size_t first = index * static_cast<std::size_t>(bits);
     std::uint32_t three = 0;  // bytes
     for (std::size_t i = 0; i < 3; ++i) three = three << 8 | row[first / 8 + i];
-    v = static_cast<Code>(three << (8 + first % 8) >> (32 - bits) << (16 - bits));
+    const std::uint32_t stored = three << (8 + first % 8) >> (32 - bits);
+    v = static_cast<Code>(stored << (16 - bits) | stored >> (2 * bits - 16));
   }
   return v;
 }

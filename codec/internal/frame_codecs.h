@@ -16,7 +16,7 @@ Result<FrameWithAlpha> decode_png(Bytes bytes, const std::string& name);
 /// Of a printer's inks (CMYK) as they look on white paper.
 /// errors: kUnreadable (damaged)
 Result<Image<Rgb8>> decode_jpeg(Bytes bytes, const std::string& name);
-/// 9 to 15 bits come as 16, the largest code near 65535.
+/// 9 to 15 bits come as 16, the largest code as 65535.
 /// errors: kUnreadable (damaged, LogLuv, samples that are neither whole numbers of up to 16 bits
 ///         nor floats)
 Result<FramePixels> decode_tiff(Bytes bytes, const std::string& name);

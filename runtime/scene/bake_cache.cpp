@@ -121,6 +121,7 @@ std::optional<Lock> lock_for(const std::optional<fs::path>& folder, const fs::pa
   return std::optional<Lock>(std::in_place, fs::path(file).replace_extension(".lock"), name);
 }
 
+// 1: it is over, also where it fails.
 void tell_progress(const auto& options, double done) {
   if (options.progress) options.progress(done);
 }
@@ -153,7 +154,10 @@ Result<prt::BakedObject> bake_or_recall(const std::string& name, prt::Mesh mesh,
       return recalled;
     }
   auto baked = prt::bake(std::move(mesh), options);
-  if (!baked) return fail(baked.error().code, name, baked.error().detail);
+  if (!baked) {
+    tell_progress(options, 1);
+    return fail(baked.error().code, name, baked.error().detail);
+  }
   log_info(
       "{}: baked {} vertices with {:.1f} million rays in {:.1f} s, standard error {:.2f} % of the "
       "first coefficient",
@@ -275,7 +279,10 @@ Result<prt::BakedSequence> bake_or_recall(const std::string& name, const prt::Ch
     const PrivateFolder own;
     sequence = bake_into(own.path() / (stem + kJournalKind), character, clip, options);
   }
-  if (!sequence) return named(sequence.error());
+  if (!sequence) {
+    tell_progress(options, 1);
+    return named(sequence.error());
+  }
   const prt::SequenceReport& r = sequence->report;
   log_info(
       "{}: baked {} key frames of {} points with {:.1f} million rays in {:.1f} s, standard error "

@@ -103,6 +103,15 @@ TEST(BakeCache, TwoThatWantTheSameBakeItOnce) {
     EXPECT_EQ(file.path().extension(), ".glb") << file.path();
 }
 
+TEST(BakeCache, ABakeThatFailsIsOver) {
+  const OwnCache cache;
+  std::vector<double> told;
+  prt::BakeOptions options = few_rays();
+  options.progress = [&](double done) { told.push_back(done); };
+  EXPECT_FALSE(bake_or_recall("nothing", prt::Mesh(), options, BakeCache::kUsed));
+  EXPECT_EQ(told, (std::vector<double>{0, 1}));
+}
+
 TEST(BakeCache, WhoeverDiedWhileItBakedHoldsNobodyUp) {
   const OwnCache cache;
   const auto asset = load_asset("builtin:ball", {.7f, .7f, .7f}, 0);

@@ -57,13 +57,11 @@ Result<CodedPicture> read_back(const std::filesystem::path& file, CodedPicture o
   return out;
 }
 
-// Every pixel within an error, in place of the fewest bits for the mean.
-Result<CodedPicture> code_every_pixel(const Image<Rgb>& picture, double error) {
+Result<CodedPicture> code_as_log_jpeg2000(
+    const std::function<Result<codec::CodedStill>()>& encode) {
   return run_coder(
       [&]() -> Result<StillBytes> {
-        PENUMBRA_ASSIGN(
-            coded, codec::encode_log_jpeg2000_exactly(picture, {.deviation = std::log10(1 + error)},
-                                                      codec::WaveletCoder::kSmall));
+        PENUMBRA_ASSIGN(coded, encode());
         return std::move(coded.bytes);
       },
       [](const StillBytes& bytes) -> Result<Image<Rgb>> {
@@ -72,18 +70,18 @@ Result<CodedPicture> code_every_pixel(const Image<Rgb>& picture, double error) {
       });
 }
 
-Result<CodedPicture> code_as_log_jpeg2000(const Image<Rgb>& picture, codec::WaveletCoder coder,
-                                          std::size_t max_bytes) {
-  return run_coder(
-      [&]() -> Result<StillBytes> {
-        PENUMBRA_ASSIGN(coded,
-                        codec::encode_log_jpeg2000(picture, {.max_bytes = max_bytes}, coder));
-        return std::move(coded.bytes);
-      },
-      [](const StillBytes& bytes) -> Result<Image<Rgb>> {
-        PENUMBRA_ASSIGN(image, codec::decode_log_jpeg2000(bytes, "picture"));
-        return std::move(image.pixels);
-      });
+Result<CodedPicture> code_within_bytes(const Image<Rgb>& picture, codec::WaveletCoder coder,
+                                       std::size_t max_bytes) {
+  return code_as_log_jpeg2000(
+      [&] { return codec::encode_log_jpeg2000(picture, {.max_bytes = max_bytes}, coder); });
+}
+
+// Every pixel within an error, in place of the fewest bits for the mean.
+Result<CodedPicture> code_every_pixel(const Image<Rgb>& picture, double error) {
+  return code_as_log_jpeg2000([&] {
+    return codec::encode_log_jpeg2000_exactly(picture, {.deviation = std::log10(1 + error)},
+                                              codec::WaveletCoder::kSmall);
+  });
 }
 
 Result<CodedPicture> code_as_gain_map(const Image<Rgb>& picture, int quality) {
@@ -167,7 +165,7 @@ std::vector<StillCoder> still_coders(const std::filesystem::path& folder) {
         {"log JPEG 2000, small (ours)", codec::WaveletCoder::kSmall}})
     for (const double bits : {8., 4.8, 2.4, 1.2, .48})
       out.push_back({name, fmt::format("{} bits a pixel", bits), [=](const Image<Rgb>& p) {
-                       return code_as_log_jpeg2000(
+                       return code_within_bytes(
                            p, coder, static_cast<std::size_t>(bits / 8 * double(p.area())));
                      }});
   for (const double error : {.001, .01})
