@@ -126,10 +126,11 @@ class Cluster:
 
     def wait_for(self, is_so, what, limit_s=60):
         until = time.monotonic() + limit_s * PATIENCE
-        while not is_so():
+        while not (found := is_so()):
             if time.monotonic() > until:
                 raise AssertionError(f"{what} did not come in {limit_s} s\n{self.logs()}")
             time.sleep(.1)
+        return found
 
     def logs(self):
         return "\n".join(f"{path.name}:\n{path.read_text(errors='replace')[-1500:]}"
@@ -168,6 +169,17 @@ class Cluster:
         self.end(node, signal.SIGKILL)
         self.kill(self.processes_of(node))
 
+    def lose_power_at_work(self, node, command):
+        """The job_task that was lost with it; None: none runs `command` just now, and nothing is lost."""
+        held = self.processes_of(node)
+        self.kill(held, signal.SIGSTOP)  # it cannot end while it is asked which it is
+        task = next((task for task, where in self.running_tasks() if where == node), None)
+        if task and any(self.name_of(process).startswith(command) for process in held):
+            self.lose_power(node)
+            return task
+        self.kill(held, signal.SIGCONT)
+        return None
+
     def kill_task(self, task):
         """All of a job_task at once: nothing is left that could begin it again. False: it has ended."""
         job, _, index = (task or "").partition("_")
@@ -176,10 +188,10 @@ class Cluster:
         return len(programs) > 1
 
     @staticmethod
-    def kill(processes):
+    def kill(processes, how=signal.SIGKILL):
         for process in sorted(processes):  # parents, which would begin them again, first
             try:
-                os.kill(process, signal.SIGKILL)
+                os.kill(process, how)
             except ProcessLookupError:
                 pass
 

@@ -73,8 +73,8 @@ class Slurm(unittest.TestCase):
         started = self.begin(name, SHARDS, samples=512)
         self.cluster.wait_for(lambda: list(self.root.glob(f"{name}.shard-*-of-12")), "the first shard")
         self.wait_for_tasks(lambda tasks: {"n1", "n2"} <= {node for _, node in tasks}, "tasks on two nodes")
-        lost = self.task_on("n2")
-        self.cluster.lose_power("n2")
+        bakes = program().encode() + b"\0bake"
+        lost = self.cluster.wait_for(lambda: self.cluster.lose_power_at_work("n2", bakes), "a task on the second node")
         self.cluster.wait_for(lambda: self.cluster.kill_task(self.task_on("n1")), "a task on the first node")
         self.cluster.wait_for(lambda: "down" in "".join(self.cluster.states()), "a node that is down")
         self.cluster.start_node("n2")
