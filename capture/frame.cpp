@@ -1,10 +1,32 @@
 #include <fmt/format.h>
 
+#include <algorithm>
+#include <array>
+#include <utility>
 #include <variant>
 
 #include "capture/frames.h"
 
 namespace penumbra::capture {
+
+namespace {
+
+constexpr std::array<std::pair<Role, std::string_view>, 4> kRoles{
+    {{Role::kEnvironment, "environment"},
+     {Role::kView, "view"},
+     {Role::kDepth, "depth"},
+     {Role::kMask, "mask"}}};
+
+}  // namespace
+
+std::string_view role_name(Role role) {
+  return kRoles[static_cast<std::size_t>(role)].second;
+}
+
+std::optional<Role> role_from(std::string_view name) {
+  const auto found = std::ranges::find(kRoles, name, &std::pair<Role, std::string_view>::second);
+  return found == kRoles.end() ? std::nullopt : std::optional(found->first);
+}
 
 int width(const FramePixels& pixels) {
   return std::visit([](const auto& image) { return image.width(); }, pixels);

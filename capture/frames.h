@@ -14,6 +14,7 @@
 #include <optional>
 #include <span>
 #include <string>
+#include <string_view>
 #include <vector>
 
 #include "calib/camera/camera_model.h"
@@ -28,7 +29,17 @@
 #pragma GCC visibility push(default)
 namespace penumbra::capture {
 
-enum class Role { kEnvironment, kView };
+/// kDepth: codes of 16 bits are distances along its axis; kMask: its codes, of 8 or 16 bits, are
+/// how much of the view's picture is in front of all that is virtual.
+enum class Role { kEnvironment, kView, kDepth, kMask };
+
+/// As files and answers have it: "environment", "view", "depth", "mask".
+std::string_view role_name(Role role);
+std::optional<Role> role_from(std::string_view name);
+/// Whether its pictures are of light.
+inline bool sees_light(Role role) {
+  return role == Role::kEnvironment || role == Role::kView;
+}
 
 /// A part of a picture that has a lens of its own, as 360-degree cameras have two.
 struct Lens {
@@ -72,6 +83,7 @@ struct CameraInfo {
   std::vector<Lens> lenses;
   std::optional<Ball> ball;  // shows the surroundings in a view camera's picture
   Rgb ball_reflectance{1, 1, 1};
+  double depth_unit_m = .001;  // of a depth camera: metres a code; code 0 is no depth
   // No camera, but the light that others measured: its frames are maps of `projection`'s size.
   bool gives_maps = false;
 };

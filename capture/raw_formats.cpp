@@ -59,8 +59,11 @@ struct Grey {
   std::uint32_t fourcc;
   int bits;
 };
-constexpr Grey kGrey[] = {
-    {V4L2_PIX_FMT_GREY, 8}, {V4L2_PIX_FMT_Y10, 10}, {V4L2_PIX_FMT_Y12, 12}, {V4L2_PIX_FMT_Y16, 16}};
+constexpr Grey kGrey[] = {{V4L2_PIX_FMT_GREY, 8},
+                          {V4L2_PIX_FMT_Y10, 10},
+                          {V4L2_PIX_FMT_Y12, 12},
+                          {V4L2_PIX_FMT_Y16, 16},
+                          {V4L2_PIX_FMT_Z16, 16}};
 
 bool is_jpeg(std::uint32_t fourcc) {
   return fourcc == V4L2_PIX_FMT_MJPEG || fourcc == V4L2_PIX_FMT_JPEG;

@@ -58,7 +58,7 @@ endif()
 
 # Several files are compiled as one (CMAKE_UNITY_BUILD), but for kernels: Highway compiles those for
 # each instruction set by including them again.
-set(CMAKE_UNITY_BUILD_BATCH_SIZE 8)
+set(CMAKE_UNITY_BUILD_BATCH_SIZE 16)
 function(penumbra_keep_apart)
   foreach(file IN LISTS ARGN)
     file(STRINGS ${file} kernel REGEX "hwy/foreach_target.h")

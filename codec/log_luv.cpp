@@ -9,12 +9,12 @@ namespace penumbra::codec {
 
 namespace {
 
-constexpr int kMaxCode = (1 << kLogLuvBits) - 1;
+constexpr int kMaxLogLuvCode = (1 << kLogLuvBits) - 1;
 constexpr float kLogLuvSteps = 128, kColourSteps = 6400;
 const float kLowestStop = std::log2(kLogLuvToe);
 
 std::uint16_t code_of(float steps) {
-  return static_cast<std::uint16_t>(std::clamp(steps + .5f, 0.f, float{kMaxCode}));
+  return static_cast<std::uint16_t>(std::clamp(steps + .5f, 0.f, float{kMaxLogLuvCode}));
 }
 
 // Within .0004: of a positive normal number, by its exponent and the first bits of its mantissa.
@@ -36,10 +36,10 @@ float with_toe(float v) {
   return kLogLuvToe + (v > 0 ? std::min(v, kLargest) : 0);  // also of a NaN
 }
 
-const std::array<float, kMaxCode + 1>& luminances() {
+const std::array<float, kMaxLogLuvCode + 1>& luminances() {
   static const auto table = [] {
-    std::array<float, kMaxCode + 1> out{};
-    for (int i = 0; i <= kMaxCode; ++i)
+    std::array<float, kMaxLogLuvCode + 1> out{};
+    for (int i = 0; i <= kMaxLogLuvCode; ++i)
       out[static_cast<std::size_t>(i)] =
           std::exp2(static_cast<float>(i) / kLogLuvSteps + kLowestStop);
     return out;
@@ -66,7 +66,7 @@ void rgb_from_log_luv(const LogLuvPlanes<const std::uint16_t>& codes, std::span<
   const auto& table = luminances();
   const auto without_toe = [](float v) { return std::max(0.f, v - kLogLuvToe); };
   for (std::size_t i = 0; i < out.size(); ++i) {
-    const float y = table[std::min<std::size_t>(codes.l[i], kMaxCode)];
+    const float y = table[std::min<std::size_t>(codes.l[i], kMaxLogLuvCode)];
     const float u = static_cast<float>(codes.u[i]) / kColourSteps,
                 v = std::max<float>(codes.v[i], 1) / kColourSteps;
     const float x = y * 9 * u / (4 * v), z = y * (12 - 3 * u - 20 * v) / (4 * v);

@@ -20,6 +20,7 @@
 namespace penumbra::compositor {
 
 class ViewLens;
+struct Foreground;
 
 /// What the camera does to all it sees, and so must happen to what is inserted. The blur of its
 /// optics is a Gaussian. The noise of its sensor has the variance g y + r^2 at signal y. Real
@@ -52,6 +53,9 @@ struct View {
   /// Null: the pinhole of `camera`. Else of `camera` only size and pose count, and the focal length
   /// near the axis. Stays for as long as what was drawn through it.
   std::shared_ptr<const ViewLens> lens{};
+  /// What real things stand in front; null: none that the scene does not know. Another pointer,
+  /// other contents.
+  std::shared_ptr<const Foreground> foreground{};
 };
 
 /// How an object looks beyond its vertices.

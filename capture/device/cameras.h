@@ -54,6 +54,8 @@ struct CameraSettings {
   // The driver's value that counts as gain 1; 0: where it stands (libcamera: its least)
   double unit_gain = 0;
   double white_balance_k = 0;  // at which a V4L2 camera's is fixed; 0: the driver's preset
+  // Else exposure, gain and white balance stay as they are: depth is best at the camera's own
+  bool stop_automatics = true;
 };
 
 /// The driver's account of a frame.

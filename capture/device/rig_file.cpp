@@ -14,6 +14,9 @@ constexpr std::string_view kDeviceKeys[] = {"device",       "format",      "fps"
                                             "exposures_s",  "gains",       "unit_gain",
                                             "delay_frames", "light_error", "white_balance_k"};
 
+// Of V4L2: distances of 16 bits.
+constexpr const char* kDepthFormat = "Z16 ";
+
 Result<std::vector<Exposure>> read_schedule(const TomlKeys& keys) {
   if (!keys.has("exposures_s")) return std::vector<Exposure>();
   PENUMBRA_ASSIGN(times, keys.numbers("exposures_s"));
@@ -56,12 +59,15 @@ Result<RigCamera> read_rig_camera(const TomlKeys& keys) {
   RigCamera camera;
   PENUMBRA_ASSIGN(info, read_camera_info(keys));
   camera.info = std::move(info);
-  if (!keys.has("response")) return keys.invalid("response", "is missing");
-  PENUMBRA_ASSIGN(response, read_response(keys, {}));
+  const bool light = sees_light(camera.info.role);
+  if (light && !keys.has("response")) return keys.invalid("response", "is missing");
+  PENUMBRA_ASSIGN(response, read_response(keys, camera.info.role, {}));
   camera.info.response = response;
   PENUMBRA_TRY(read_white_balance(keys, camera.info.response));
   PENUMBRA_ASSIGN(device, keys.text("device"));
   camera.settings.device = device;
+  camera.settings.stop_automatics = light;
+  if (camera.info.role == Role::kDepth) camera.settings.format = kDepthFormat;
   if (keys.has("format")) {
     PENUMBRA_ASSIGN(format, keys.text("format"));
     camera.settings.format = format;
@@ -86,6 +92,10 @@ Result<RigCamera> read_rig_camera(const TomlKeys& keys) {
     PENUMBRA_ASSIGN(delay, keys.integer("delay_frames", 1, 10));
     camera.delay_frames = delay;
   }
+  for (const char* key : {"exposures_s", "gains", "light_error", "white_balance_k", "unit_gain"})
+    if (!light && keys.has(key))
+      return keys.invalid(key, fmt::format("means nothing of a camera with role = \"{}\"",
+                                           role_name(camera.info.role)));
   PENUMBRA_TRY(read_exposures(keys, camera));
   return camera;
 }

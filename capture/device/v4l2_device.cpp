@@ -14,7 +14,7 @@ namespace penumbra::capture {
 
 namespace {
 
-constexpr std::uint32_t kBuffers = 4;
+constexpr std::uint32_t kMappedBuffers = 4;
 constexpr std::uint32_t kType = V4L2_BUF_TYPE_VIDEO_CAPTURE;
 
 // CLOCK_MONOTONIC, as drivers stamp frames.
@@ -97,7 +97,7 @@ class V4l2Device : public CameraDevice {
 
 Result<void> V4l2Device::start() {
   v4l2_requestbuffers request{};
-  request.count = kBuffers, request.type = kType, request.memory = V4L2_MEMORY_MMAP;
+  request.count = kMappedBuffers, request.type = kType, request.memory = V4L2_MEMORY_MMAP;
   if (const int e = node_.call(VIDIOC_REQBUFS, &request))
     return std::unexpected(node_.error(ErrorCode::kUnavailable, "provides no buffers", e));
   for (std::uint32_t i = 0; i < request.count; ++i) {
@@ -246,8 +246,10 @@ Result<std::unique_ptr<CameraDevice>> open_v4l2(const CameraSettings& s) {
   if (!converter)
     return fail(converter.error().code, s.device,
                 converter.error().where + ": " + converter.error().detail);
-  stop_automatics(node);
-  PENUMBRA_TRY(fix_white_balance(node, s.white_balance_k));
+  if (s.stop_automatics) {
+    stop_automatics(node);
+    PENUMBRA_TRY(fix_white_balance(node, s.white_balance_k));
+  }
   auto device = std::make_unique<V4l2Device>(std::move(node), std::move(*converter), s);
   PENUMBRA_TRY(device->start());
   return device;

@@ -125,10 +125,12 @@ Result<void> read_identity(const TomlKeys& keys, CameraInfo& info) {
   if (std::ranges::any_of(name, [](unsigned char c) { return std::iscntrl(c); }))
     return keys.invalid("name", "has control characters");
   PENUMBRA_ASSIGN(role, keys.text("role"));
-  if (role != "environment" && role != "view")
-    return keys.invalid("role", fmt::format("\"{}\" is neither environment nor view", role));
+  const auto known = role_from(role);
+  if (!known)
+    return keys.invalid("role",
+                        fmt::format("\"{}\" is none of environment, view, depth and mask", role));
   info.name = name;
-  info.role = role == "view" ? Role::kView : Role::kEnvironment;
+  info.role = *known;
   if (!keys.has("eye")) return {};
   PENUMBRA_ASSIGN(eye, keys.text("eye"));
   if (!eye.empty() && eye != "left" && eye != "right")
@@ -349,6 +351,16 @@ Result<void> read_ball(const TomlKeys& keys, CameraInfo& info) {
   return {};
 }
 
+Result<void> read_depth(const TomlKeys& keys, CameraInfo& info) {
+  if (!keys.has("depth_unit_m")) return {};
+  if (info.role != Role::kDepth)
+    return keys.invalid("depth_unit_m", "belongs to a camera with role = \"depth\"");
+  PENUMBRA_ASSIGN(unit, keys.number("depth_unit_m"));
+  if (!(unit >= 1e-6 && unit <= 1)) return keys.invalid("depth_unit_m", "is not within 1e-6..1 m");
+  info.depth_unit_m = unit;
+  return {};
+}
+
 /// What else than its whole picture shows the surroundings.
 Result<void> read_regions(const TomlKeys& keys, CameraInfo& info) {
   if (keys.has("lens")) {
@@ -367,7 +379,13 @@ Result<void> read_regions(const TomlKeys& keys, CameraInfo& info) {
 
 }  // namespace
 
-Result<calib::Response> read_response(const TomlKeys& keys, const std::vector<FrameRow>& rows) {
+Result<calib::Response> read_response(const TomlKeys& keys, Role role,
+                                      const std::vector<FrameRow>& rows) {
+  if (!sees_light(role)) {
+    if (!keys.has("response")) return calib::Response::linear();
+    return keys.invalid(
+        "response", fmt::format("means nothing of a camera with role = \"{}\"", role_name(role)));
+  }
   if (!keys.has("response")) {
     if (std::ranges::all_of(rows, is_float_file)) return calib::Response::linear();
     return keys.invalid("response", "is missing");
@@ -388,6 +406,7 @@ Result<CameraInfo> read_camera_info(const TomlKeys& keys) {
   PENUMBRA_TRY(read_sensor(keys, info));
   PENUMBRA_TRY(read_vignetting(keys, info));
   PENUMBRA_TRY(read_colour(keys, info));
+  PENUMBRA_TRY(read_depth(keys, info));
   PENUMBRA_TRY(read_pose_file(keys, info));
   if (keys.has("world_from_camera")) {
     PENUMBRA_ASSIGN(pose, read_pose(keys));
@@ -450,11 +469,13 @@ std::string print_regions(const CameraInfo& c) {
 std::string print_camera(const CameraInfo& c, const std::string& response,
                          const std::string& frames) {
   std::string text = fmt::format("\n[[camera]]\nname = {}\nrole = \"{}\"\n", toml_quoted(c.name),
-                                 c.role == Role::kView ? "view" : "environment");
+                                 role_name(c.role));
   if (!c.eye.empty()) text += fmt::format("eye = \"{}\"\n", c.eye);
   text += fmt::format("width = {}\nheight = {}\n", c.projection.width, c.projection.height);
   if (c.lenses.empty()) text += print_projection(c.projection);
-  text += fmt::format("response = {}\nblack_level = {}\n", toml_quoted(response), c.black_level);
+  if (sees_light(c.role))
+    text += fmt::format("response = {}\nblack_level = {}\n", toml_quoted(response), c.black_level);
+  if (c.role == Role::kDepth) text += fmt::format("depth_unit_m = {}\n", c.depth_unit_m);
   const auto& gains = c.response.white_balance();
   // A response file has the gains in its tables.
   if (gains != std::array<double, 3>{1, 1, 1} && response == c.response.describe())

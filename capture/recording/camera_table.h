@@ -16,7 +16,7 @@
 #pragma GCC visibility push(default)
 namespace penumbra::capture {
 
-inline constexpr std::array<std::string_view, 24> kCameraKeys{"name",
+inline constexpr std::array<std::string_view, 25> kCameraKeys{"name",
                                                               "role",
                                                               "eye",
                                                               "width",
@@ -39,15 +39,17 @@ inline constexpr std::array<std::string_view, 24> kCameraKeys{"name",
                                                               "noise",
                                                               "lens",
                                                               "ball",
-                                                              "vignetting"};
+                                                              "vignetting",
+                                                              "depth_unit_m"};
 
 /// All of a camera but its frames and, since that may depend on them, its response and its white
 /// balance. Keys are the caller's to check.
 /// errors: kNotFound, kUnreadable, kInvalid (file, line, key)
 Result<CameraInfo> read_camera_info(const TomlKeys& keys);
 
-/// Codes mean nothing without a response; float frames need none.
-Result<calib::Response> read_response(const TomlKeys& keys, const std::vector<FrameRow>& rows);
+/// Codes mean nothing without a response; float frames, depth and masks need none.
+Result<calib::Response> read_response(const TomlKeys& keys, Role role,
+                                      const std::vector<FrameRow>& rows);
 Result<void> read_white_balance(const TomlKeys& keys, calib::Response& response);
 
 }  // namespace penumbra::capture

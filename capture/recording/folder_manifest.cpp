@@ -24,7 +24,7 @@ Result<FolderCamera> read_camera(const TomlKeys& keys) {
     return keys.invalid("frames", fmt::format("\"{}\" is not a path inside the folder", list));
   PENUMBRA_ASSIGN(rows, read_frame_list(folder, list));
   camera.rows = std::move(rows);
-  PENUMBRA_ASSIGN(response, read_response(keys, camera.rows));
+  PENUMBRA_ASSIGN(response, read_response(keys, camera.info.role, camera.rows));
   camera.info.response = response;
   PENUMBRA_TRY(read_white_balance(keys, camera.info.response));
   return camera;

@@ -54,8 +54,9 @@ CompositeStats put(const View& view, const Layered& in, FramePixels& frame, Sens
 
 Layered layered(const Layer& objects, const Layer& hidden, const Receivers& receivers,
                 const Rect& receiver_area, const View& view) {
-  return {objects, hidden, receivers, united(united(objects.rect, receiver_area), hidden.rect),
-          view.vignetting};
+  return {objects,         hidden,
+          receivers,       united(united(objects.rect, receiver_area), hidden.rect),
+          view.vignetting, view.foreground.get()};
 }
 
 }  // namespace

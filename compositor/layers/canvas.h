@@ -51,6 +51,7 @@ class Canvas {
   /// Cleared to nothing, with the viewport of a frame of that size placed so that the rectangle
   /// lies in the corner.
   Result<void> begin(const Rect& rect, int frame_width, int frame_height);
+  int oversampling() const { return oversampling_; }
   /// The mean of each pixel's samples.
   void finish(Layer& out);
 

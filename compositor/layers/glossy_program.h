@@ -272,7 +272,7 @@ void main() {
   base.a = 1.0;
 #endif
 #ifdef UNLIT
-  colour = vec4(min(signal_per_radiance * emission_unit * base.rgb, 1000.0) * base.a, base.a);
+  vec4 drawn = vec4(min(signal_per_radiance * emission_unit * base.rgb, 1000.0) * base.a, base.a);
 #else
   float metal = metallic, rough = roughness, at_level = level, at_long_level = long_level;
 #ifdef METALLIC_ROUGHNESS_MAP
@@ -356,11 +356,12 @@ void main() {
 #ifdef BLEND
   cover *= 1.0 - transmission * (1.0 - metal) * (1.0 - max(share.r, max(share.g, share.b)));
 #endif
-  colour = vec4(min(signal_per_radiance * shown, 1000.0) * base.a, cover);
+  vec4 drawn = vec4(min(signal_per_radiance * shown, 1000.0) * base.a, cover);
 #endif
 #ifndef DOUBLE_SIDED
-  if (!gl_FrontFacing) colour.rgb = vec3(0);
+  if (!gl_FrontFacing) drawn.rgb = vec3(0);
 #endif
+  colour = with_foreground(drawn);
 }
 )";
 

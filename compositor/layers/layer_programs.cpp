@@ -83,7 +83,7 @@ in vec3 signal;
 out vec4 colour;
 void main() {
   if (!is_shown()) discard;
-  colour = vec4(gl_FrontFacing ? min(signal, 1000.0) : vec3(0), 1);
+  colour = with_foreground(vec4(gl_FrontFacing ? min(signal, 1000.0) : vec3(0), 1));
 }
 )";
 
@@ -111,7 +111,7 @@ out vec4 colour;
 void main() {
   vec3 shown = signal * texture(albedo_map, in_albedo).rgb * texture(light_map, in_light).rgb;
   if (!is_shown()) discard;
-  colour = vec4(gl_FrontFacing ? min(shown, 1000.0) : vec3(0), 1);
+  colour = with_foreground(vec4(gl_FrontFacing ? min(shown, 1000.0) : vec3(0), 1));
 }
 )";
 
@@ -128,7 +128,7 @@ in vec3 loss;
 out vec4 colour;
 void main() {
   if (!is_shown()) discard;
-  colour = vec4(loss, 1);
+  colour = vec4(loss, 1) * seen_past_foreground();
 }
 )";
 
@@ -173,15 +173,17 @@ std::string vertex_head(bool lens, bool cut) {
   return std::string(kVersion) + (cut ? kTellsPlace : kTellsNothing) +
          (lens ? kLensVertex : kPinholeVertex);
 }
-std::string fragment_head(bool cut) {
-  return std::string(kVersion) + (cut ? kCutFragment : kWholeFragment);
+std::string fragment_head(bool cut, bool foreground) {
+  return std::string(kVersion) + (cut ? kCutFragment : kWholeFragment) +
+         (foreground ? kBehindForeground : kNoForeground);
 }
 
 }  // namespace
 
-Result<LayerPrograms::Programs> LayerPrograms::make(Way way) {
-  const bool cut = way == Way::kCutLens;
-  const std::string vertex = vertex_head(way != Way::kPinhole, cut), fragment = fragment_head(cut);
+Result<LayerPrograms::Programs> LayerPrograms::make(Kind kind) {
+  const bool cut = kind.way == Way::kCutLens;
+  const std::string vertex = vertex_head(kind.way != Way::kPinhole, cut),
+                    fragment = fragment_head(cut, kind.foreground);
   const auto one = [&](const char* v, const char* f) {
     return make_program((vertex + v).c_str(), (fragment + f).c_str());
   };
@@ -192,39 +194,55 @@ Result<LayerPrograms::Programs> LayerPrograms::make(Way way) {
 }
 
 Result<LayerPrograms> LayerPrograms::create() {
-  PENUMBRA_ASSIGN(pinhole, make(Way::kPinhole));
-  return LayerPrograms(std::move(pinhole));
+  LayerPrograms out;
+  PENUMBRA_TRY(out.prepare(Kind{}));
+  return out;
 }
 
-Result<void> LayerPrograms::prepare(const std::shared_ptr<const ViewLens>& lens) {
-  if (!lens || std::ranges::find(tables_, lens, &LensTable::lens) != tables_.end()) return {};
-  if (!lens_) {
-    PENUMBRA_ASSIGN(whole, make(Way::kLens));
-    PENUMBRA_ASSIGN(cut, make(Way::kCutLens));
-    lens_ = std::move(whole), cut_lens_ = std::move(cut);
-  }
-  tables_.push_back({lens, radius_texture(*lens)});
+Result<void> LayerPrograms::prepare(Kind kind) {
+  if (programs_.contains(kind)) return {};
+  PENUMBRA_ASSIGN(made, make(kind));
+  programs_.emplace(kind, std::move(made));
   return {};
 }
 
-Result<void> LayerPrograms::prepare_glossy(GlossyFeatures features, const ViewLens* lens) {
-  for (const Way way : {Way::kPinhole, Way::kLens, Way::kCutLens}) {
-    if ((way == Way::kPinhole) != (lens == nullptr) || glossy_.contains({way, features})) continue;
-    const bool cut = way == Way::kCutLens;
-    const std::string defines = glossy_defines(features, cut);
-    PENUMBRA_ASSIGN(
-        made, make_program((vertex_head(lens != nullptr, cut) + defines + kGlossyVertex).c_str(),
-                           (fragment_head(cut) + defines + kGlossyFragment).c_str()));
-    glossy_.emplace(std::pair(way, features), std::move(made));
+// What may be drawn until the next prepare().
+std::vector<LayerPrograms::Kind> LayerPrograms::kinds() const {
+  const bool foreground = foreground_.any();
+  if (!through_lens_) return {{Way::kPinhole, foreground}};
+  return {{Way::kLens, foreground}, {Way::kCutLens, foreground}};
+}
+
+Result<void> LayerPrograms::prepare(const std::shared_ptr<const ViewLens>& lens,
+                                    const std::shared_ptr<const Foreground>& foreground) {
+  through_lens_ = lens != nullptr;
+  foreground_.set(foreground);
+  for (const Kind kind : kinds()) PENUMBRA_TRY(prepare(kind));
+  if (lens && std::ranges::find(tables_, lens, &LensTable::lens) == tables_.end())
+    tables_.push_back({lens, radius_texture(*lens)});
+  return {};
+}
+
+Result<void> LayerPrograms::prepare_glossy(GlossyFeatures features) {
+  for (const Kind kind : kinds()) {
+    if (glossy_.contains({kind, features})) continue;
+    const bool cut = kind.way == Way::kCutLens;
+    const std::string defines = glossy_defines(features, cut),
+                      vertex = vertex_head(through_lens_, cut),
+                      fragment = fragment_head(cut, kind.foreground);
+    PENUMBRA_ASSIGN(made, make_program((vertex + defines + kGlossyVertex).c_str(),
+                                       (fragment + defines + kGlossyFragment).c_str()));
+    glossy_.emplace(std::pair(kind, features), std::move(made));
   }
   return {};
 }
 
-void LayerPrograms::set_projection(GLuint program, const ViewProjection& from_points) const {
+void LayerPrograms::set_up(GLuint program, const ViewProjection& from_points) const {
   glUseProgram(program);
   const glm::mat4 single(from_points.matrix());
   glUniformMatrix4fv(glGetUniformLocation(program, "picture_from_points"), 1, GL_FALSE,
                      glm::value_ptr(single));
+  foreground_.bind(program);
   const ViewLens* const lens = from_points.lens();
   if (!lens) return;
   const auto table =
@@ -232,18 +250,24 @@ void LayerPrograms::set_projection(GLuint program, const ViewProjection& from_po
   set_lens(program, *lens, table->radius.get());
 }
 
+LayerPrograms::Kind LayerPrograms::kind_of(const ViewProjection& from_points, bool cut) const {
+  return {!from_points.lens() ? Way::kPinhole
+          : cut               ? Way::kCutLens
+                              : Way::kLens,
+          foreground_.any()};
+}
+
 GLuint LayerPrograms::use(LayerDrawing drawing, const ViewProjection& from_points, bool cut) const {
-  const Programs& programs = !from_points.lens() ? pinhole_ : cut ? *cut_lens_ : *lens_;
+  const Programs& programs = programs_.at(kind_of(from_points, cut));
   const GLuint program = programs[static_cast<std::size_t>(drawing)].get();
-  set_projection(program, from_points);
+  set_up(program, from_points);
   return program;
 }
 
 GLuint LayerPrograms::use_glossy(GlossyFeatures features, const ViewProjection& from_points,
                                  bool cut) const {
-  const Way way = !from_points.lens() ? Way::kPinhole : cut ? Way::kCutLens : Way::kLens;
-  const GLuint program = glossy_.at({way, features}).get();
-  set_projection(program, from_points);
+  const GLuint program = glossy_.at({kind_of(from_points, cut), features}).get();
+  set_up(program, from_points);
   return program;
 }
 

@@ -3,6 +3,7 @@
 #pragma once
 
 #include <array>
+#include <compare>
 #include <cstdint>
 #include <glm/vec4.hpp>
 #include <map>
@@ -12,6 +13,7 @@
 #include <utility>
 #include <vector>
 
+#include "compositor/layers/foreground_textures.h"
 #include "compositor/layers/gl.h"
 #include "compositor/layers/glossy_program.h"
 #include "compositor/projection.h"
@@ -25,9 +27,14 @@ class LayerPrograms {
 
   static Result<LayerPrograms> create();
 
-  /// What drawing through this lens takes; null: a pinhole takes nothing more.
+  /// What drawing through this lens takes, null for a pinhole, and behind this foreground, null
+  /// without. What follows is for both, until the next call.
   /// errors: kUnavailable
-  Result<void> prepare(const std::shared_ptr<const ViewLens>& lens);
+  Result<void> prepare(const std::shared_ptr<const ViewLens>& lens,
+                       const std::shared_ptr<const Foreground>& foreground);
+  /// Of the canvas that is drawn on next: its corner in the picture, and its samples a pixel along
+  /// each axis.
+  void place_foreground(const Rect& canvas, int scale) { foreground_.place(canvas, scale); }
 
   /// Makes a program current for points of the projection's frame, whose lens is prepared.
   /// cut: whether some may lie beside all that a lens shows, or behind hiding planes, which takes
@@ -37,7 +44,7 @@ class LayerPrograms {
   /// Programs of surfaces with materials: without a GPU what a program leaves out is what it does
   /// not pay for, so there is one for each set of features.
   /// errors: kUnavailable
-  Result<void> prepare_glossy(GlossyFeatures features, const ViewLens* lens);
+  Result<void> prepare_glossy(GlossyFeatures features);
   /// features: prepared
   GLuint use_glossy(GlossyFeatures features, const ViewProjection& from_points, bool cut) const;
 
@@ -52,15 +59,23 @@ class LayerPrograms {
     std::shared_ptr<const ViewLens> lens;
     GlTexture radius{};
   };
-  explicit LayerPrograms(Programs pinhole) : pinhole_(std::move(pinhole)) {}
   enum class Way : std::uint8_t { kPinhole, kLens, kCutLens };
-  static Result<Programs> make(Way way);
-  void set_projection(GLuint program, const ViewProjection& from_points) const;
+  struct Kind {
+    Way way = Way::kPinhole;
+    bool foreground = false;
+    friend auto operator<=>(const Kind&, const Kind&) = default;
+  };
+  static Result<Programs> make(Kind kind);
+  Result<void> prepare(Kind kind);
+  std::vector<Kind> kinds() const;
+  Kind kind_of(const ViewProjection& from_points, bool cut) const;
+  void set_up(GLuint program, const ViewProjection& from_points) const;
 
-  Programs pinhole_;
-  std::optional<Programs> lens_, cut_lens_;
-  std::map<std::pair<Way, GlossyFeatures>, GlProgram> glossy_;
+  std::map<Kind, Programs> programs_;
+  std::map<std::pair<Kind, GlossyFeatures>, GlProgram> glossy_;
   std::vector<LensTable> tables_;  // one a camera
+  bool through_lens_ = false;
+  ForegroundTextures foreground_;
 };
 
 }  // namespace penumbra::compositor

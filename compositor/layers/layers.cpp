@@ -426,12 +426,11 @@ GLuint Layers::use_program(const View& view, const ViewProjection& from_world, c
 }
 
 Result<void> Layers::prepare_programs(const View& view) {
-  PENUMBRA_TRY(programs_.prepare(view.lens));
+  PENUMBRA_TRY(programs_.prepare(view.lens, view.foreground));
   for (const DrawnObject& o : objects_)
     if (o.glossy)
       for (const GlossyObject::Part& part : o.glossy->parts)
-        PENUMBRA_TRY(
-            programs_.prepare_glossy(glossy_->features_of(*o.glossy, part), view.lens.get()));
+        PENUMBRA_TRY(programs_.prepare_glossy(glossy_->features_of(*o.glossy, part)));
   return {};
 }
 
@@ -509,9 +508,14 @@ Result<bool> Layers::draw_layer_of_objects(const View& view, const ViewProjectio
   return false;
 }
 
+Result<void> Layers::begin(Canvas& canvas, const Rect& rect) {
+  programs_.place_foreground(rect, canvas.oversampling());
+  return canvas.begin(rect, width_, height_);
+}
+
 Result<void> Layers::draw_on(Canvas& canvas, const View& view, const ViewProjection& from_world,
                              Layer& out) {
-  PENUMBRA_TRY(canvas.begin(out.rect, width_, height_));
+  PENUMBRA_TRY(begin(canvas, out.rect));
   glColorMask(GL_FALSE, GL_FALSE, GL_FALSE, GL_FALSE);
   draw_occluders(from_world);
   if (!view.lens) draw_hiding_planes(view.camera.world_from_camera.translation, from_world);
@@ -553,7 +557,7 @@ Result<void> Layers::draw(const View& view, const Rect& receiver_area, CommonLay
   for (const OccluderMesh& mesh : occluder_meshes_)
     if (mesh.shaded) hidden.rect = united(hidden.rect, reach_of(from_world, *mesh.shaded));
   if (!hidden.rect.empty()) {
-    PENUMBRA_TRY(hidden_canvas_.begin(hidden.rect, width_, height_));
+    PENUMBRA_TRY(begin(hidden_canvas_, hidden.rect));
     draw_occluders(from_world);
     hidden_canvas_.finish(hidden);
   }

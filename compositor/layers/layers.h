@@ -116,7 +116,7 @@ class Layers {
     bool shows(const View& now, const Rect& area, bool occluders) const {
       return view.camera == now.camera && view.lens == now.lens &&
              view.signal_per_radiance == now.signal_per_radiance &&
-             (!occluders || receiver_area == area);
+             view.foreground == now.foreground && (!occluders || receiver_area == area);
     }
   };
 
@@ -157,6 +157,7 @@ class Layers {
   Result<bool> redraw_changed(const View& view, CommonLayer& objects);
   Rect changed_region(const ViewProjection& from_world) const;
   void keep_as_drawn(const ViewProjection& from_world);
+  Result<void> begin(Canvas& canvas, const Rect& rect);
   Result<void> draw_on(Canvas& canvas, const View& view, const ViewProjection& from_world,
                        Layer& out);
   static double distance_to_box(const DrawnObject& object, const glm::dvec3& eye);

@@ -8,6 +8,7 @@
 
 #include "calib/camera/response_table.h"
 #include "calib/camera/vignetting.h"
+#include "compositor/foreground.h"
 #include "compositor/layers/layers.h"
 #include "compositor/pixels/code_row.h"
 #include "compositor/pixels/half_rows.h"
@@ -58,6 +59,7 @@ struct Layered {
   const Receivers& receivers;
   Rect area;  // all that is touched at most
   const Vignetting& vignetting;
+  const Foreground* foreground = nullptr;
 
   /// The same for row y alone, `area` being what is touched there at most.
   Layered row(int y) const {
@@ -66,7 +68,9 @@ struct Layered {
       if (has_row(*layer, y)) part = united(part, {layer->rect.x0, y, layer->rect.x1, y + 1});
     return within(part);
   }
-  Layered within(const Rect& part) const { return {objects, hidden, receivers, part, vignetting}; }
+  Layered within(const Rect& part) const {
+    return {objects, hidden, receivers, part, vignetting, foreground};
+  }
 };
 
 /// The objects' row as the lens lets it through.
@@ -80,6 +84,18 @@ inline void load_objects(const Layered& in, int y, std::vector<float>& out) {
   }
 }
 
+/// Shadows on planes do not fall on what stands in front of them.
+inline void spare_foreground(const Layered& in, int y, RowBuffers& rows) {
+  if (!in.foreground) return;
+  const Rect& f = in.foreground->area;
+  if (y < f.y0 || y >= f.y1) return;
+  for (int x = std::max(f.x0, in.area.x0); x < std::min(f.x1, in.area.x1); ++x) {
+    const float left = 1 - in.foreground->cover[in.foreground->index(x, y)].a;
+    const auto i = static_cast<std::size_t>(x - in.area.x0);
+    for (auto* v : {&rows.r, &rows.g, &rows.b}) (*v)[i] = 1 + left * ((*v)[i] - 1);
+  }
+}
+
 /// Ratios of the row; real geometry in front of the receiver brings its own. False when no shadow
 /// reaches it: then they are 1.
 inline bool load_shadows(const Layered& in, int y, RowBuffers& rows) {
@@ -87,6 +103,7 @@ inline bool load_shadows(const Layered& in, int y, RowBuffers& rows) {
   for (auto* v : {&rows.r, &rows.g, &rows.b}) std::fill_n(v->begin(), width, 1.f);
   const bool on_planes =
       in.receivers.load_row(y, in.area, rows.r.data(), rows.g.data(), rows.b.data());
+  if (on_planes) spare_foreground(in, y, rows);
   if (!has_row(in.hidden, y)) return on_planes;
   load_row(in.hidden, y, rows.hidden);
   for (int x = std::max(in.hidden.rect.x0, in.area.x0); x < std::min(in.hidden.rect.x1, in.area.x1);

@@ -8,7 +8,7 @@ namespace penumbra::prt {
 
 namespace {
 
-constexpr char kMagic[8] = {'P', 'N', 'B', 'J', 'R', 'N', 'L', '1'};
+constexpr char kJournalMagic[8] = {'P', 'N', 'B', 'J', 'R', 'N', 'L', '1'};
 struct JournalHead {
   char magic[8];
   std::uint64_t bake, values;
@@ -34,7 +34,7 @@ Result<std::uintmax_t> scan(const std::filesystem::path& path, const JournalKey&
   if (!in) return fail(ErrorCode::kNotFound, path.string(), "is missing: bake this shard first");
   JournalHead head{};
   in.read(reinterpret_cast<char*>(&head), sizeof head);
-  if (!in || std::memcmp(head.magic, kMagic, sizeof kMagic) != 0)
+  if (!in || std::memcmp(head.magic, kJournalMagic, sizeof kJournalMagic) != 0)
     return fail(ErrorCode::kUnreadable, path.string(), "is not a journal of a bake: remove it");
   if (JournalKey{head.bake, head.frames, head.values} != key)
     return fail(ErrorCode::kInvalid, path.string(),
@@ -71,7 +71,7 @@ Result<Journal> Journal::open(const std::filesystem::path& path, const JournalKe
       std::filesystem::file_size(path, error) <= sizeof(JournalHead)) {
     out.out_.open(path, std::ios::binary | std::ios::trunc);
     JournalHead head{};
-    std::memcpy(head.magic, kMagic, sizeof kMagic);
+    std::memcpy(head.magic, kJournalMagic, sizeof kJournalMagic);
     head.bake = key.bake;
     head.frames = key.frames;
     head.values = key.values;

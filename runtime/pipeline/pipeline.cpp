@@ -243,6 +243,11 @@ Result<bool> Pipeline::add_environment(const capture::Frame& frame) {
   return std::unexpected(measured.error());
 }
 
+Result<void> Pipeline::add_foreground(const capture::Frame& frame) {
+  PENUMBRA_TRY(impl_->check(frame));
+  return impl_->composite->add_foreground(frame);
+}
+
 void Pipeline::set_light(const lighting::LightEstimate& light) {
   impl_->estimate = light;
   impl_->estimate.valid = true;

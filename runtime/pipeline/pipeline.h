@@ -83,6 +83,10 @@ class Pipeline {
   Result<bool> add_environment(const capture::Frame& frame);
   /// The light to composite under, from elsewhere; the next add_environment() replaces it.
   void set_light(const lighting::LightEstimate& light);
+  /// Real things in front of what is virtual, from a camera with the role depth or mask: for view
+  /// frames at most a quarter of a second away.
+  /// errors: kInvalid (size or camera of the frame, depth that is not of 16 bits)
+  Result<void> add_foreground(const capture::Frame& frame);
   /// Puts the objects into a view frame. Before there is light the frame comes back as it is, and
   /// so does one that was taken for its light: see Composited::darker_view.
   /// errors: kInvalid (size or camera of the frame), kUnavailable (OpenGL ES)

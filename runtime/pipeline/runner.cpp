@@ -4,6 +4,7 @@
 #include <array>
 #include <atomic>
 #include <chrono>
+#include <deque>
 #include <limits>
 #include <mutex>
 #include <thread>
@@ -67,6 +68,10 @@ bool is_view(const capture::FrameSource& source, const capture::Frame& frame) {
   return source.cameras()[static_cast<std::size_t>(frame.camera)].role == capture::Role::kView;
 }
 
+bool is_foreground(const capture::FrameSource& source, const capture::Frame& frame) {
+  return !capture::sees_light(source.cameras()[static_cast<std::size_t>(frame.camera)].role);
+}
+
 AskForDarker darker_of(capture::FrameSource& source, int camera) {
   return [&source, camera](double factor) { return source.take_darker(camera, factor); };
 }
@@ -116,6 +121,13 @@ class Replay {
         compose_.recover_lights(view, estimate_, darker_of(source_, view.camera)));
   }
 
+  // View frames that wait are composited with what was in front of them.
+  Result<void> add_foreground(const capture::Frame& frame) {
+    if (waiting_.empty()) return compose_.add_foreground(frame);
+    waiting_.push_back(frame);
+    return {};
+  }
+
   Result<void> add_view(const capture::Frame& frame) {
     constexpr std::size_t kMaxWaiting = 16, kMaxPixels = 64'000'000;
     waiting_.push_back(frame);
@@ -128,6 +140,10 @@ class Replay {
   Result<void> compose_waiting() {
     for (const capture::Frame& frame : waiting_) {
       if (!go_on_) break;
+      if (is_foreground(source_, frame)) {
+        PENUMBRA_TRY(compose_.add_foreground(frame));
+        continue;
+      }
       measure_light(frame);
       PENUMBRA_TRY(compose_one(frame, estimate_, compose_, sink_, counts_, go_on_));
     }
@@ -165,6 +181,7 @@ Result<RunCounts> run_replay(capture::FrameSource& source, LightEstimationStage&
       replay.measure_light(**frame);
       continue;
     }
+    if (is_foreground(source, **frame)) PENUMBRA_TRY(replay.add_foreground(**frame));
     if (light.takes((*frame)->camera)) PENUMBRA_TRY(replay.add_environment(**frame));
     if (is_view(source, **frame)) PENUMBRA_TRY(replay.add_view(**frame));
   }
@@ -180,10 +197,12 @@ namespace {
 // What the threads of a live run share. Every queue closes when anyone stops.
 struct Live {
   explicit Live(const capture::FrameSource& source)
-      : view(source.cameras(), Seconds(source.view_rate() > 0 ? 1 / source.view_rate() : 0)) {}
+      : view(source.cameras(), Seconds(source.view_rate() > 0 ? 1 / source.view_rate() : 0)),
+        foreground(source.cameras().size()) {}
 
   FrameMailbox environment;
   ViewMailbox view;
+  std::deque<Latest<capture::Frame>> foreground;  // by camera
   Latest<capture::Frame> for_light;
   Latest<lighting::LightEstimate> light;
   Latest<std::vector<lighting::SaturationRecovery>> recoveries;
@@ -198,6 +217,7 @@ struct Live {
   void close() {
     environment.close();
     view.close();
+    for (auto& camera : foreground) camera.close();
     for_light.close();
     light.close();
     recoveries.close();
@@ -250,6 +270,10 @@ void produce(Live& live, capture::FrameSource& source, const LightEstimationStag
         break;
       if ((*frame)->for_light) {
         live.for_light.put(std::move(**frame));
+        continue;
+      }
+      if (is_foreground(source, **frame)) {
+        live.foreground[static_cast<std::size_t>((*frame)->camera)].put(std::move(**frame));
         continue;
       }
       // A ball in its picture makes a view camera both.
@@ -433,6 +457,9 @@ Result<RunCounts> run_live(capture::FrameSource& source, LightEstimationStage& l
       }
       if (auto newer = live.light.take()) estimate = std::move(*newer);
       if (const auto darker = live.for_light.take()) recover(*darker);
+      for (auto& camera : live.foreground)
+        if (const auto newest = camera.take(); newest && composed)
+          composed = frames.stage().add_foreground(*newest);
       for (std::size_t i = 0; i < eyes.size() && composed && frames.go_on(); ++i) {
         recover(eyes[i]);
         composed =

@@ -117,13 +117,14 @@ Result<std::unique_ptr<CompositeStage>> CompositeStage::create(
                                                  surface, oversampling));
   PENUMBRA_ASSIGN(lights, DirectLightStage::create(scene, sampling));
   PENUMBRA_ASSIGN(recovery, FloorRecovery::create(scene));
+  PENUMBRA_ASSIGN(foreground, ForegroundStage::create(cameras, scene.planes));
   if (scene.sun && recovery.idle())
     log_warning(
         "sun: one that no camera sees stays dark: no object stands on a floor of known albedo, or "
         "beside a real mesh that throws a shadow");
   auto stage = std::unique_ptr<CompositeStage>(
-      new CompositeStage(std::move(compositor), std::move(lights), std::move(recovery), scene,
-                         std::move(moving), times));
+      new CompositeStage(std::move(compositor), std::move(lights), std::move(recovery),
+                         std::move(foreground), scene, std::move(moving), times));
   for (const capture::CameraInfo& c : cameras) PENUMBRA_TRY(stage->add_camera(c));
   if (!scene.real_mesh.triangles.empty()) stage->compositor_->add_occluder(scene.real_mesh);
   if (scene.real && scene.real->baked.receiver)
@@ -146,13 +147,14 @@ Result<std::unique_ptr<CompositeStage>> CompositeStage::create(
 
 CompositeStage::CompositeStage(std::unique_ptr<compositor::Compositor> compositor,
                                DirectLightStage lights, FloorRecovery recovery,
-                               const PreparedScene& scene, std::unique_ptr<PreparedScene> moving,
-                               StageTimes& times)
+                               ForegroundStage foreground, const PreparedScene& scene,
+                               std::unique_ptr<PreparedScene> moving, StageTimes& times)
     : compositor_(std::move(compositor)),
       moving_(std::move(moving)),
       scene_(scene),
       lights_(std::move(lights)),
       recovery_(std::move(recovery)),
+      foreground_(std::move(foreground)),
       moves_(scene),
       surroundings_(scene),
       lamps_(scene),
@@ -503,6 +505,13 @@ void CompositeStage::warm_up() {
   compositor::View view{
       {p.width, p.height, p.focal_px, p.principal_px, camera->info.world_from_camera}};
   view.lens = camera->lens;
+  if (foreground_.any()) {
+    auto nowhere = std::make_shared<compositor::Foreground>();
+    nowhere->area = {0, 0, 1, 1};
+    nowhere->distance_m = {0};
+    nowhere->cover = {{0, 0, 0, 0}};
+    view.foreground = std::move(nowhere);
+  }
   (void)compositor_->composite(view, black);
 }
 
@@ -551,16 +560,25 @@ void fade(const FramePixels& camera, float opacity, FramePixels& out) {
 
 }  // namespace
 
+std::shared_ptr<const compositor::Foreground> CompositeStage::foreground_of(
+    const capture::Frame& frame, const ViewCamera& camera, const ResponseTable* curve) {
+  if (!foreground_.any()) return nullptr;
+  const StageTimer timer(times_, "foreground");
+  return foreground_.in_front_of(frame, camera.info.projection, camera.lens.get(), curve);
+}
+
 compositor::View CompositeStage::view_of(const capture::Frame& frame) {
   ViewCamera& camera = views_[static_cast<std::size_t>(frame.camera)];
   const calib::CameraModel& p = camera.info.projection;
+  const ResponseTable* const curve = curve_for(camera, *frame.pixels);
   return {{p.width, p.height, p.focal_px, p.principal_px, frame.world_from_camera},
-          curve_for(camera, *frame.pixels),
+          curve,
           static_cast<float>(frame.exposure.product()),
           sensor_effects_of(camera.info, frame),
           camera.vignetting,
           floor_radiance_ * static_cast<float>(frame.exposure.product() * camera.min_fraction),
-          camera.lens};
+          camera.lens,
+          foreground_of(frame, camera, curve)};
 }
 
 Result<void> CompositeStage::process(const capture::Frame& frame,

@@ -28,6 +28,7 @@
 #include "runtime/direct/open_planes.h"
 #include "runtime/direct/real_surface_stage.h"
 #include "runtime/direct/scene_light.h"
+#include "runtime/foreground/foreground_stage.h"
 #include "runtime/scene/scene.h"
 #include "runtime/shading/composited.h"
 #include "runtime/shading/floor_recovery.h"
@@ -105,6 +106,10 @@ class CompositeStage {
   /// scene_time: of what moves; both eyes of one moment have the same
   Result<void> draw(const capture::Frame& frame, const lighting::LightEstimate& light,
                     TimestampNs scene_time, PendingFrame& out);
+  /// A frame of a depth camera or of a mask: what it shows is in front from the next view frame on,
+  /// for a quarter of a second.
+  /// errors: as ForegroundStage::add
+  Result<void> add_foreground(const capture::Frame& frame) { return foreground_.add(frame); }
   compositor::Compositor& output() { return *compositor_; }
   /// From then on another thread may use it, the only one then.
   void release() { compositor_->release(); }
@@ -175,7 +180,7 @@ class CompositeStage {
   };
 
   CompositeStage(std::unique_ptr<compositor::Compositor> compositor, DirectLightStage lights,
-                 FloorRecovery recovery, const PreparedScene& scene,
+                 FloorRecovery recovery, ForegroundStage foreground, const PreparedScene& scene,
                  std::unique_ptr<PreparedScene> moving, StageTimes& times);
   Result<void> add_camera(const capture::CameraInfo& info);
   std::shared_ptr<const RelightBases> bases_of(const prt::BakedObject& baked) const;
@@ -242,6 +247,9 @@ class CompositeStage {
   static bool ask_for_darker(ViewCamera& camera, const capture::Frame& frame,
                              const AskForDarker& ask);
   const ResponseTable* curve_for(ViewCamera& camera, const FramePixels& pixels);
+  std::shared_ptr<const compositor::Foreground> foreground_of(const capture::Frame& frame,
+                                                              const ViewCamera& camera,
+                                                              const ResponseTable* curve);
   compositor::View view_of(const capture::Frame& frame);
 
   std::unique_ptr<compositor::Compositor> compositor_;
@@ -249,6 +257,7 @@ class CompositeStage {
   const PreparedScene& scene_;
   DirectLightStage lights_;
   FloorRecovery recovery_;
+  ForegroundStage foreground_;
   ObjectMoves moves_;
   OcclusionProbes surroundings_;
   LampStage lamps_;

@@ -148,7 +148,7 @@ json sources_json(const PublishedState::Snapshot& s) {
   json out = json::array();
   for (const capture::CameraInfo& c : s.sources)
     out.push_back({{"name", c.name},
-                   {"role", c.role == capture::Role::kView ? "view" : "environment"},
+                   {"role", capture::role_name(c.role)},
                    {"width", c.projection.width},
                    {"height", c.projection.height}});
   return out;

@@ -24,14 +24,14 @@ struct Bracket {
   }
 };
 
-using Curve = std::function<double(double)>;
+using EncodeSignal = std::function<double(double)>;
 
 std::uint8_t quantise(double code) {
   return static_cast<std::uint8_t>(std::lround(std::clamp(code, 0., 1.) * 255));
 }
 
 /// Smooth scene over eight stops, seen through `encode` with the given times; noise in codes.
-Bracket simulate(const Curve& encode, const std::vector<double>& times, double noise = 0) {
+Bracket simulate(const EncodeSignal& encode, const std::vector<double>& times, double noise = 0) {
   constexpr int width = 160, height = 120;
   Bracket b;
   std::mt19937 random(3);

@@ -10,7 +10,7 @@
 namespace penumbra::calib {
 namespace {
 
-constexpr double kDegrees = kPi / 180, kFps = 30;
+constexpr double kDegree = kPi / 180, kFps = 30;
 constexpr double kNoise_rad = .0006, kNoise_m = .0008;  // a board at a metre
 
 glm::dvec3 turned_by(const glm::dquat& from, const glm::dquat& to) {
@@ -62,7 +62,7 @@ TEST(PoseFilter, HalvesTheJitterOfACameraThatStands) {
 }
 
 TEST(PoseFilter, FollowsConstantTurningAndSpeedWithoutLag) {
-  constexpr double kTurn = 100 * kDegrees, kSpeed = .5;  // a second
+  constexpr double kTurn = 100 * kDegree, kSpeed = .5;  // a second
   NoisyPoses noisy(4);
   PoseFilter filter;
   double lag_s = 0, way_lag_s = 0;

@@ -12,7 +12,7 @@
 namespace penumbra::calib {
 namespace {
 
-struct Curve {
+struct CodingCurve {
   std::string name;
   std::function<double(double)> encode;  // linear 0..1 -> code 0..1
 };
@@ -30,7 +30,7 @@ double logarithm(double x, double k) {
 
 // The shapes of the curves that Grossberg & Nayar 2004 collected: video gammas, films with a toe
 // and a shoulder, cameras with a knee, logarithmic sensors.
-std::vector<Curve> curves() {
+std::vector<CodingCurve> curves() {
   return {
       {"gamma 2.2", [](double x) { return std::pow(x, 1 / 2.2); }},
       {"sRGB", srgb},
@@ -54,9 +54,10 @@ std::vector<Curve> curves() {
 }
 
 constexpr std::size_t kFirst = 4, kLast = 240;
-const std::vector<double> kTimes{1 / 240., 1 / 120., 1 / 60., 1 / 30., 1 / 15., 1 / 8., 1 / 4.};
+const std::vector<double> kBracketTimes{1 / 240., 1 / 120., 1 / 60., 1 / 30.,
+                                        1 / 15.,  1 / 8.,   1 / 4.};
 
-std::vector<Image<Rgb8>> bracket(const Curve& curve, std::uint32_t seed) {
+std::vector<Image<Rgb8>> bracket(const CodingCurve& curve, std::uint32_t seed) {
   std::mt19937 random(seed);
   constexpr int kW = 96, kH = 64;
   // Radiance over four decades, smooth as a scene is, its channels apart.
@@ -68,7 +69,7 @@ std::vector<Image<Rgb8>> bracket(const Curve& curve, std::uint32_t seed) {
             static_cast<float>(.05 * std::pow(10., 4. * (x + .5) / kW - .3 * y / kH + .1 * c));
   std::normal_distribution<double> noise(1, .01);
   std::vector<Image<Rgb8>> out;
-  for (const double t : kTimes) {
+  for (const double t : kBracketTimes) {
     Image<Rgb8> picture(kW, kH);
     for (int y = 0; y < kH; ++y)
       for (int x = 0; x < kW; ++x) {
@@ -84,7 +85,7 @@ std::vector<Image<Rgb8>> bracket(const Curve& curve, std::uint32_t seed) {
   return out;
 }
 
-double decode(const Curve& curve, double code) {
+double decode(const CodingCurve& curve, double code) {
   double low = 0, high = 1;
   for (int i = 0; i < 60; ++i) {
     const double middle = (low + high) / 2;
@@ -94,7 +95,7 @@ double decode(const Curve& curve, double code) {
 }
 
 // RMS over the codes that a merge uses, of full scale, after the best common factor.
-double rms(const std::array<double, 256>& found, const Curve& curve) {
+double rms(const std::array<double, 256>& found, const CodingCurve& curve) {
   std::array<double, 256> truth{};
   for (int code = 0; code < 256; ++code)
     truth[static_cast<std::size_t>(code)] = decode(curve, code);
@@ -109,11 +110,12 @@ double rms(const std::array<double, 256>& found, const Curve& curve) {
 }
 
 template <class Calibrate>
-double peer(const std::vector<Image<Rgb8>>& pictures, const Curve& curve, Calibrate&& calibrate) {
+double peer(const std::vector<Image<Rgb8>>& pictures, const CodingCurve& curve,
+            Calibrate&& calibrate) {
   std::vector<cv::Mat> mats;
   for (const auto& p : pictures)
     mats.emplace_back(p.height(), p.width(), CV_8UC3, const_cast<Rgb8*>(p.pixels().data()));
-  std::vector<float> times(kTimes.begin(), kTimes.end());
+  std::vector<float> times(kBracketTimes.begin(), kBracketTimes.end());
   cv::Mat response;
   calibrate->process(mats, response, times);
   std::array<double, 256> found{};
@@ -122,7 +124,7 @@ double peer(const std::vector<Image<Rgb8>>& pictures, const Curve& curve, Calibr
 }
 
 std::vector<Seconds> seconds() {
-  return {kTimes.begin(), kTimes.end()};
+  return {kBracketTimes.begin(), kBracketTimes.end()};
 }
 
 std::vector<const Image<Rgb8>*> pointers_to(const std::vector<Image<Rgb8>>& pictures) {
@@ -134,7 +136,7 @@ std::vector<const Image<Rgb8>*> pointers_to(const std::vector<Image<Rgb8>>& pict
 TEST(ResponseCurves, RecoveredToHalfAPercentBesideOpenCv) {
   std::printf("%-24s %8s %8s %10s   RMS, %% of full scale\n", "curve", "ours", "Debevec",
               "Robertson");
-  for (const Curve& curve : curves()) {
+  for (const CodingCurve& curve : curves()) {
     const auto pictures = bracket(curve, 7);
     const auto response = estimate_response(pointers_to(pictures), seconds());
     ASSERT_TRUE(response) << curve.name << ": " << response.error().detail;
@@ -152,7 +154,7 @@ TEST(ResponseCurves, RecoveredToHalfAPercentBesideOpenCv) {
 // A camera's light must not depend on where its curve came from: 1 is what just saturates. A scale
 // of its own made objects 9 % too bright beside a camera of given curve.
 TEST(ResponseCurves, EstimatedOnesHaveTheScaleOfGivenOnes) {
-  for (const Curve& curve : curves()) {
+  for (const CodingCurve& curve : curves()) {
     const auto pictures = bracket(curve, 7);
     const auto response = estimate_response(pointers_to(pictures), seconds());
     ASSERT_TRUE(response) << curve.name << ": " << response.error().detail;
@@ -166,7 +168,7 @@ TEST(ResponseCurves, EstimatedOnesHaveTheScaleOfGivenOnes) {
 }
 
 TEST(ResponseCurves, StatedUncertaintyIsOfTheErrorsSize) {
-  for (const Curve& curve : curves()) {
+  for (const CodingCurve& curve : curves()) {
     const auto pictures = bracket(curve, 3);
     const auto result = calibrate_response(pointers_to(pictures), seconds());
     ASSERT_TRUE(result) << curve.name << ": " << result.error().detail;

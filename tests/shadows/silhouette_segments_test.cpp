@@ -39,7 +39,7 @@ prt::Mesh bumpy() {
   return m;
 }
 
-prt::Mesh bowl() {
+prt::Mesh open_bowl() {
   prt::Mesh m = outlined_knot();
   m.triangles.resize(m.triangles.size() / 3);
   return m;
@@ -101,7 +101,7 @@ std::size_t silhouette_edges(const prt::Mesh& mesh, std::span<const PlaneSample>
 }
 
 TEST(SilhouetteSegments, PatchesLeaveNothingOut) {
-  for (const prt::Mesh& mesh : {outlined_knot(), with_slivers(), bumpy(), bowl()})
+  for (const prt::Mesh& mesh : {outlined_knot(), with_slivers(), bumpy(), open_bowl()})
     for (const double turn : {0., 1.1, 2.5, 4.})
       for (const double spread : {0., .01, .3, 3.}) {
         const auto directions = samples(turn, spread, spread > 0 ? 16 : 1);
@@ -115,7 +115,7 @@ TEST(SilhouetteSegments, PatchesLeaveNothingOut) {
 }
 
 TEST(SilhouetteSegments, EveryTriangleThatGoesThroughThePlaneEndsThereOnce) {
-  for (const prt::Mesh& mesh : {outlined_knot(), bumpy(), bowl()}) {
+  for (const prt::Mesh& mesh : {outlined_knot(), bumpy(), open_bowl()}) {
     std::size_t through_all = 0;
     for (const double height : {.013, .1, .251, .4}) {
       const auto directions = samples(.4, 0, 1);

@@ -18,7 +18,7 @@ namespace {
 using glm::dvec3;
 using test::sheet;
 
-constexpr float kNear = 3e-5f;
+constexpr float kTraceNear = 3e-5f;
 
 lighting::DistantLight sun(double elevation_deg, double radius_deg = .3) {
   lighting::DistantLight d;
@@ -44,7 +44,7 @@ std::vector<glm::vec3> averaged_normals(const prt::Mesh& m) {
 }
 
 struct TracedWorld : test::CasterWorld {
-  explicit TracedWorld(std::vector<prt::Mesh> all) : CasterWorld(std::move(all), kNear) {}
+  explicit TracedWorld(std::vector<prt::Mesh> all) : CasterWorld(std::move(all), kTraceNear) {}
   std::vector<float> shared_light(const lighting::DistantLight& source) const {
     return light(source, casters[0], &rays);
   }
@@ -169,7 +169,8 @@ TEST(ShadowMap, ACacheOfSilhouettesChangesNothing) {
   SilhouetteCache cache;
   for (const lighting::DistantLight& source : {sun(50), sun(30), sun(50, 2), sun(.5), sun(50)}) {
     cache.clear();
-    const ShadowCasters with{one_outline, {}, kNear, &cache}, without{world.casters, {}, kNear};
+    const ShadowCasters with{one_outline, {}, kTraceNear, &cache},
+        without{world.casters, {}, kTraceNear};
     for (const prt::Plane& plane : {floor, wall}) {
       std::vector<ShadowMap> a, b;
       render_shadow_maps(with, plane, source, {}, a);
@@ -191,8 +192,8 @@ TEST(TracedVertices, OfASettingSunEveryVertexHasItsPart) {
   const lighting::DistantLight source = sun(0, 2);
   std::vector<float> half(world.meshes[0].positions.size()), whole(half.size());
   for (const auto& [on, out] : {std::pair(&plane, &half), {nullptr, &whole}})
-    trace_direct_light({&world.rays, nullptr, kNear}, {world.casters, {}, kNear}, world.casters[0],
-                       on, source, 4, *out);
+    trace_direct_light({&world.rays, nullptr, kTraceNear}, {world.casters, {}, kTraceNear},
+                       world.casters[0], on, source, 4, *out);
   int in_front = 0, wrong = 0;
   for (std::size_t i = 0; i < half.size(); ++i) {
     if (glm::dot(dvec3(world.meshes[0].normals[i]), source.direction) < .2) continue;
@@ -248,8 +249,8 @@ TEST(TracedVertices, ASmallFormSetsInParts) {
   const prt::Plane floor;
   const auto light = [&](const Caster& object, const lighting::DistantLight& source, int samples) {
     std::vector<float> out(world.points.positions.size());
-    trace_direct_light({&world.rays, nullptr, kNear}, {world.casters, {}, kNear}, object, &floor,
-                       source, samples, out);
+    trace_direct_light({&world.rays, nullptr, kTraceNear}, {world.casters, {}, kTraceNear}, object,
+                       &floor, source, samples, out);
     return out;
   };
   for (const auto& [across, along] : {std::pair(.003, .045), {.045, .003}}) {
@@ -281,8 +282,8 @@ TEST(TracedVertices, OneSampleThrowsHardShadows) {
   const TracedWorld world({traced_knot()});
   const auto light = [&](const Caster& object, const lighting::DistantLight& of, int samples) {
     std::vector<float> out(world.points.positions.size());
-    trace_direct_light({&world.rays, nullptr, kNear}, {world.casters, {}, kNear}, object, nullptr,
-                       of, samples, out);
+    trace_direct_light({&world.rays, nullptr, kTraceNear}, {world.casters, {}, kTraceNear}, object,
+                       nullptr, of, samples, out);
     return out;
   };
   const Caster alone{&world.points, &world.none, {}};
@@ -309,7 +310,7 @@ TEST(TracedVertices, OneSampleOfASettingSunIsAllOrNothing) {
   std::vector<float> out(world.meshes[0].positions.size());
   for (const double radius_deg : {2., 15.})
     for (const double elevation : {.2, -.2}) {
-      trace_direct_light({&world.rays, nullptr, kNear}, {world.casters, {}, kNear},
+      trace_direct_light({&world.rays, nullptr, kTraceNear}, {world.casters, {}, kTraceNear},
                          world.casters[0], &plane, sun(elevation, radius_deg), 1, out);
       EXPECT_EQ(std::ranges::max(out) > .9f, elevation > 0) << radius_deg;
       EXPECT_EQ(std::ranges::max(out) > 0, elevation > 0) << radius_deg;

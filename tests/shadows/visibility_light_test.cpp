@@ -20,7 +20,7 @@ namespace {
 
 using glm::dvec3;
 
-prt::BakedObject baked(prt::Mesh mesh) {
+prt::BakedObject baked_alone(prt::Mesh mesh) {
   prt::BakeOptions options;
   options.rays = options.ground_rays = 64;
   options.bounces = 0;
@@ -64,7 +64,7 @@ struct VisibilityWorld {
   static constexpr float kNear = 3e-5f;
 
   explicit VisibilityWorld(prt::Mesh mesh = prt::make_knot(.5f, 160, 32, {.5f, .5f, .5f}))
-      : object(baked(std::move(mesh))) {
+      : object(baked_alone(std::move(mesh))) {
     points.triangles.clear();
   }
   std::vector<Caster> casters(bool with_visibility) const {

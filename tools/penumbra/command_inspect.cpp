@@ -45,9 +45,7 @@ using nlohmann::json;
 
 json to_json(const capture::CameraInfo& c) {
   return {{"name", c.name},
-          {"role", c.gives_maps                     ? "light track"
-                   : c.role == capture::Role::kView ? "view"
-                                                    : "environment"},
+          {"role", c.gives_maps ? "light track" : capture::role_name(c.role)},
           {"width", c.projection.width},
           {"height", c.projection.height},
           {"projection", calib::projection_name(c.projection.kind)}};

@@ -1,0 +1,257 @@
+#include "runtime/foreground/internal/depth_splat.h"
+
+#include <algorithm>
+#include <cmath>
+#include <glm/geometric.hpp>
+#include <ranges>
+
+#include "core/conventions.h"
+#include "runtime/foreground/internal/depth_rows.h"
+
+namespace penumbra::runtime {
+
+namespace {
+
+constexpr float kNone = std::numeric_limits<float>::quiet_NaN();
+
+// Those of which the camera sees the upper side.
+std::vector<SeenPlane> seen_planes(std::span<const prt::Plane> planes,
+                                   const Pose& world_from_depth) {
+  std::vector<SeenPlane> out;
+  for (const prt::Plane& p : planes) {
+    const double eye = glm::dot(p.normal, world_from_depth.translation - p.point);
+    if (eye <= 0) continue;
+    out.push_back(
+        {glm::vec3(glm::conjugate(world_from_depth.rotation) * p.normal), static_cast<float>(eye)});
+  }
+  return out;
+}
+
+// Holes wider than this part of a row are left: what is behind them nobody knows.
+constexpr int kMaxHole = 8;
+
+// Each hole gets the farther of its row's neighbours.
+void fill_holes(std::span<float> row) {
+  const int width = static_cast<int>(row.size());
+  const auto at = [&](int x) -> float& { return row[static_cast<std::size_t>(x)]; };
+  for (int x = 0; x < width;) {
+    if (at(x) > 0) {
+      ++x;
+      continue;
+    }
+    int end = x;
+    while (end < width && !(at(end) > 0)) ++end;
+    const float left = x > 0 ? at(x - 1) : 0, right = end < width ? at(end) : 0;
+    // At the rim of the picture nothing tells of the other side.
+    const float fill =
+        left > 0 && right > 0 && end - x <= width / kMaxHole ? std::max(left, right) : 0;
+    std::fill(row.begin() + x, row.begin() + end, fill);
+    x = end;
+  }
+}
+
+void load_depth(const DepthPicture& depth, Image<float>& out) {
+  if (!out.same_size(depth.codes)) out.reset(depth.codes.width(), depth.codes.height());
+  for (int y = 0; y < out.height(); ++y) {
+    const auto from = depth.codes.row(y);
+    const auto to = out.row(y);
+    for (std::size_t x = 0; x < from.size(); ++x)
+      to[x] = depth.unit_m * static_cast<float>(from[x].r);
+    fill_holes(to);
+  }
+}
+
+void find_in_front(std::span<const SeenPlane> planes, const DepthRays& rays, DepthRows& rows) {
+  const Image<float>& depth = rows.depth_m;
+  if (!rows.front_m.same_size(depth)) rows.front_m.reset(depth.width(), depth.height());
+  rows.in_front = {};
+  for (int y = 0; y < depth.height(); ++y) {
+    const auto front = rows.front_m.row(y);
+    keep_in_front({depth.row(std::max(y - 1, 0)), depth.row(y),
+                   depth.row(std::min(y + 1, depth.height() - 1)), rays.x.row(y), rays.y.row(y)},
+                  planes, front);
+    const auto is_there = [](float d) { return d > 0; };
+    const auto begin = std::ranges::find_if(front, is_there);
+    if (begin == front.end()) continue;
+    const auto end = std::ranges::find_if(front | std::views::reverse, is_there).base();
+    rows.in_front = compositor::united(
+        rows.in_front,
+        {static_cast<int>(begin - front.begin()), y, static_cast<int>(end - front.begin()), y + 1});
+  }
+}
+
+// A pixel that is unlike all of its neighbours but one errs. The rim of what is in front is left.
+void drop_specks(DepthRows& rows) {
+  constexpr int kMaxAlike = 1;
+  Image<float>&front = rows.front_m, &before = rows.depth_m;
+  const compositor::Rect r =
+      compositor::common(rows.in_front, {1, 1, front.width() - 1, front.height() - 1});
+  if (r.empty()) return;
+  for (int y = r.y0 - 1; y <= r.y1; ++y) std::ranges::copy(front.row(y), before.row(y).begin());
+  for (int y = r.y0; y < r.y1; ++y) {
+    const auto above = before.row(y - 1), here = before.row(y), below = before.row(y + 1);
+    const auto out = front.row(y);
+    for (auto x = static_cast<std::size_t>(r.x0); x < static_cast<std::size_t>(r.x1); ++x) {
+      const bool there = here[x] > 0;
+      // Most are like those above and below them.
+      if ((above[x] > 0) == there && (below[x] > 0) == there) continue;
+      const float around[] = {above[x - 1], above[x],     above[x + 1], here[x - 1],
+                              here[x + 1],  below[x - 1], below[x],     below[x + 1]};
+      int in_front = 0;
+      float farthest = 0;
+      for (const float d : around) in_front += d > 0, farthest = std::max(farthest, d);
+      if (there && in_front <= kMaxAlike) out[x] = 0;
+      if (!there && in_front >= 8 - kMaxAlike) out[x] = farthest;
+    }
+  }
+}
+
+// Where the pixels of a row of what is in front lie in the view: to the scratch.
+void project(const SplatView& view, const Pose& view_from_depth, const DepthRays& rays, int y,
+             DepthRows& rows) {
+  const auto first = static_cast<std::size_t>(rows.in_front.x0),
+             count = static_cast<std::size_t>(rows.in_front.width());
+  const auto depth = rows.front_m.row(y).subspan(first, count);
+  const auto ray_x = rays.x.row(y).subspan(first, count),
+             ray_y = rays.y.row(y).subspan(first, count);
+  for (auto* v : {&rows.x_px, &rows.y_px, &rows.distance_m}) v->resize(count);
+  if (!view.lens)
+    return project_row(
+        {glm::mat3(view_from_depth.rotation_matrix()), glm::vec3(view_from_depth.translation),
+         glm::vec2(view.camera.focal_px), glm::vec2(view.camera.principal_px)},
+        {{}, depth, {}, ray_x, ray_y}, {rows.x_px, rows.y_px, rows.distance_m});
+  for (std::size_t i = 0; i < count; ++i) {
+    rows.distance_m[i] = 0;
+    if (!(depth[i] > 0)) continue;
+    const glm::dvec3 p = view_from_depth * (double(depth[i]) * glm::dvec3(ray_x[i], ray_y[i], -1));
+    if (view.lens->is_beside(p)) continue;
+    const glm::dvec2 px = view.lens->pixel(p);
+    rows.x_px[i] = static_cast<float>(px.x), rows.y_px[i] = static_cast<float>(px.y);
+    rows.distance_m[i] = static_cast<float>(glm::length(p));
+  }
+}
+
+void cover_square(float x_px, float y_px, float distance_m, float half_px, Silhouettes& out) {
+  Image<float>& distance = out.distance_m;
+  // The first pixel whose centre is not before v; casts round down what is above 0.
+  const auto from = [](float v, int size) {
+    return static_cast<int>(std::clamp(v + .5f, 0.f, static_cast<float>(size)));
+  };
+  const int width = distance.width(), height = distance.height();
+  const int x0 = from(x_px - half_px, width), x1 = from(x_px + half_px, width),
+            y0 = from(y_px - half_px, height), y1 = from(y_px + half_px, height);
+  for (int y = y0; y < y1; ++y) {
+    float* const row = &distance.at(0, y);
+    for (int x = x0; x < x1; ++x) row[x] = std::min(row[x], distance_m);
+  }
+  if (x0 < x1 && y0 < y1) out.area = compositor::united(out.area, {x0, y0, x1, y1});
+}
+
+// Cracks of a pixel between splats.
+void close_cracks(Silhouettes& out) {
+  Image<float>& d = out.distance_m;
+  const compositor::Rect inner =
+      compositor::common(out.area, {1, 1, d.width() - 1, d.height() - 1});
+  for (int y = inner.y0; y < inner.y1; ++y)
+    for (int x = inner.x0; x < inner.x1; ++x) {
+      if (d.at(x, y) < Silhouettes::kNothing) continue;
+      const float across = std::max(d.at(x - 1, y), d.at(x + 1, y)),
+                  along = std::max(d.at(x, y - 1), d.at(x, y + 1));
+      d.at(x, y) = std::min(across, along);
+    }
+}
+
+}  // namespace
+
+Result<DepthRays> DepthRays::create(const calib::CameraModel& camera) {
+  const double min_cosine = std::cos(85 * kPi / 180);
+  DepthRays out{Image<float>(camera.width, camera.height, kNone),
+                Image<float>(camera.width, camera.height, kNone),
+                static_cast<float>(camera.focal_px.x)};
+  for (int y = 0; y < camera.height; ++y)
+    for (int x = 0; x < camera.width; ++x) {
+      const auto ray = calib::direction_from_pixel(camera, {x + .5, y + .5});
+      if (!ray) continue;
+      if (-ray->z < min_cosine * glm::length(*ray))
+        return fail(ErrorCode::kInvalid, "projection",
+                    "sees more than 170 degrees, where depth along an axis tells nothing");
+      out.x.at(x, y) = static_cast<float>(ray->x / -ray->z);
+      out.y.at(x, y) = static_cast<float>(ray->y / -ray->z);
+    }
+  return out;
+}
+
+void Silhouettes::reset(int width, int height) {
+  distance_m.reset(width, height, kNothing);
+  cover = {};
+  area = {};
+  blur_px = 0;
+}
+
+void splat_depth(const DepthPicture& depth, std::span<const prt::Plane> planes,
+                 const SplatView& view, DepthRows& scratch, Silhouettes& out) {
+  constexpr float kOverlap = 1.15f, kBlur = 1.5f;  // of a depth pixel
+  constexpr float kMaxSide_px = 16;  // of what is close up; what it leaves is closed below
+  load_depth(depth, scratch.depth_m);
+  find_in_front(seen_planes(planes, depth.world_from_camera), depth.rays, scratch);
+  drop_specks(scratch);
+  const Pose view_from_depth = view.world_from_camera.inverse() * depth.world_from_camera;
+  const float scale = static_cast<float>(view.camera.focal_px.x) / depth.rays.focal_px;
+  const compositor::Rect& front = scratch.in_front;
+  for (int y = front.y0; y < front.y1; ++y) {
+    project(view, view_from_depth, depth.rays, y, scratch);
+    const auto row = scratch.front_m.row(y).subspan(static_cast<std::size_t>(front.x0));
+    for (std::size_t i = 0; i < scratch.distance_m.size(); ++i) {
+      const float w = scratch.distance_m[i];
+      if (!(w > 0)) continue;
+      const float side = std::min(scale * row[i] / w, kMaxSide_px);
+      cover_square(scratch.x_px[i], scratch.y_px[i], w, .5f * kOverlap * side, out);
+    }
+  }
+  close_cracks(out);
+  out.blur_px = std::max(out.blur_px, kBlur * std::max(scale, 1.f));
+}
+
+namespace {
+
+float fraction(const Rgb8& p) {
+  return static_cast<float>(p.r) / 255.f;
+}
+float fraction(const Rgb16& p) {
+  return static_cast<float>(p.r) / 65535.f;
+}
+
+}  // namespace
+
+template <class Pixel>
+void lay_mask(const Image<Pixel>& mask, Silhouettes& out) {
+  const int width = out.distance_m.width(), height = out.distance_m.height();
+  if (out.cover.empty()) out.cover.reset(width, height, 0);
+  const double sx = double(mask.width()) / width, sy = double(mask.height()) / height;
+  const auto at = [&](int x, int y) {
+    return fraction(
+        mask.at(std::clamp(x, 0, mask.width() - 1), std::clamp(y, 0, mask.height() - 1)));
+  };
+  for (int y = 0; y < height; ++y) {
+    const double v = (y + .5) * sy - .5;
+    const int j = static_cast<int>(std::floor(v));
+    const auto b = static_cast<float>(v - j);
+    for (int x = 0; x < width; ++x) {
+      const double u = (x + .5) * sx - .5;
+      const int i = static_cast<int>(std::floor(u));
+      const auto a = static_cast<float>(u - i);
+      const float cover = (1 - b) * ((1 - a) * at(i, j) + a * at(i + 1, j)) +
+                          b * ((1 - a) * at(i, j + 1) + a * at(i + 1, j + 1));
+      if (!(cover > 0)) continue;
+      out.cover.at(x, y) = std::max(out.cover.at(x, y), cover);
+      if (cover >= .5f) out.distance_m.at(x, y) = 0;
+      out.area = compositor::united(out.area, {x, y, x + 1, y + 1});
+    }
+  }
+  out.blur_px = std::max(out.blur_px, static_cast<float>(1.5 / std::min({sx, sy, 1.})));
+}
+
+template void lay_mask(const Image<Rgb8>& mask, Silhouettes& out);
+template void lay_mask(const Image<Rgb16>& mask, Silhouettes& out);
+
+}  // namespace penumbra::runtime

@@ -1,0 +1,71 @@
+// From the picture of a depth camera, or a mask, to that of a view: which pixels something covers,
+// and how far away it is.
+// threads: plain values
+#pragma once
+
+#include <limits>
+#include <span>
+#include <vector>
+
+#include "calib/camera/camera_model.h"
+#include "compositor/projection.h"
+#include "compositor/view_lens.h"
+#include "core/image.h"
+#include "core/pose.h"
+#include "core/result.h"
+#include "prt/geometry/plane.h"
+
+namespace penumbra::runtime {
+
+/// Where a depth camera's pixels look: (x, y, -1) times the depth is the point in its frame.
+struct DepthRays {
+  Image<float> x, y;  // not a number where a pixel has no depth
+  float focal_px = 0;
+
+  /// errors: kInvalid (it sees more than 170 degrees)
+  static Result<DepthRays> create(const calib::CameraModel& camera);
+};
+
+/// What covers a view's pixels.
+struct Silhouettes {
+  static constexpr float kNothing = std::numeric_limits<float>::infinity();
+
+  Image<float> distance_m;  // kNothing where nothing is in front
+  Image<float> cover;       // 0..1, of masks; empty without
+  compositor::Rect area;    // of all that is covered
+  float blur_px = 0;        // how far an edge may lie off
+
+  void reset(int width, int height);
+};
+
+/// Scratch of the depth camera's size.
+struct DepthRows {
+  Image<float> depth_m;       // with holes filled
+  Image<float> front_m;       // of what is in front; else 0
+  compositor::Rect in_front;  // where anything is
+  std::vector<float> x_px, y_px, distance_m;
+};
+
+/// A depth camera's picture, and a view's.
+struct DepthPicture {
+  const Image<Rgb16>& codes;  // of unit_m each, along the camera's axis; 0: none
+  float unit_m;
+  const DepthRays& rays;
+  Pose world_from_camera;
+};
+struct SplatView {
+  const calib::CameraModel& camera;
+  const compositor::ViewLens* lens;  // null: a pinhole
+  Pose world_from_camera;
+};
+
+/// Adds all that is in front of the planes. A hole gets the depth of what is farther of both sides.
+void splat_depth(const DepthPicture& depth, std::span<const prt::Plane> planes,
+                 const SplatView& view, DepthRows& scratch, Silhouettes& out);
+
+/// Adds what a mask of the view's own picture covers, before all else. Of another size it is
+/// stretched over it.
+template <class Pixel>
+void lay_mask(const Image<Pixel>& mask, Silhouettes& out);
+
+}  // namespace penumbra::runtime

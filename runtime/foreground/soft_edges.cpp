@@ -1,0 +1,268 @@
+#include "runtime/foreground/internal/soft_edges.h"
+
+#include <algorithm>
+#include <cmath>
+#include <cstdint>
+#include <vector>
+
+namespace penumbra::runtime {
+
+namespace {
+
+// Linear signal of one kind of pixel.
+template <class Pixel>
+class Signal {
+ public:
+  Signal(const Image<Pixel>& picture, const ResponseTable* curve)
+      : picture_(picture), curve_(curve) {}
+  Rgb at(int x, int y) const {
+    const Pixel& p = picture_.at(x, y);
+    if constexpr (std::is_same_v<Pixel, Rgb>)
+      return p;
+    else
+      return {curve_->decode(0, p.r), curve_->decode(1, p.g), curve_->decode(2, p.b)};
+  }
+
+ private:
+  const Image<Pixel>& picture_;
+  const ResponseTable* curve_;
+};
+
+float sum_of(const Rgb& v) {
+  return v.r + v.g + v.b;
+}
+
+// Colours of one side of an edge within a block.
+struct SideSum {
+  float count = 0;
+  Rgb sum, squares;
+  void add(const Rgb& c) {
+    ++count;
+    sum += c;
+    squares += c * c;
+  }
+  SideSum& operator+=(const SideSum& o) {
+    count += o.count;
+    sum += o.sum;
+    squares += o.squares;
+    return *this;
+  }
+  Rgb mean() const { return sum * (1 / count); }
+  // Of a pixel, over all channels.
+  float variance() const {
+    const Rgb m = mean();
+    return std::max(sum_of(squares) / count - sum_of(m * m), 0.f);
+  }
+};
+
+struct EdgeBlock {
+  SideSum thing, background;
+  float nearest_m = Silhouettes::kNothing;
+  bool has_edge = false;
+  EdgeBlock& operator+=(const EdgeBlock& o) {
+    thing += o.thing;
+    background += o.background;
+    nearest_m = std::min(nearest_m, o.nearest_m);
+    has_edge |= o.has_edge;
+    return *this;
+  }
+};
+
+// What a thing and its background look like around a block.
+struct TwoColours {
+  float nearest_m = Silhouettes::kNothing;
+  float trust = 0;  // in what colours say against what depth alone does, 0..1
+  Rgb background, apart;
+  float per_squared = 0;  // 1/|apart|^2
+
+  explicit TwoColours(const EdgeBlock& around) : nearest_m(around.nearest_m) {
+    constexpr float kMinSeen = 4;  // pixels of a side that tell its colour
+    constexpr float kTrust = 4;    // times its variance a difference must be to count as much
+    if (around.thing.count < kMinSeen || around.background.count < kMinSeen) return;
+    background = around.background.mean();
+    apart = around.thing.mean() - background;
+    const float squared = sum_of(apart * apart);
+    if (!(squared > 0)) return;
+    per_squared = 1 / squared;
+    trust = squared / (squared + kTrust * (around.thing.variance() + around.background.variance()));
+  }
+
+  // Cover and fringe of a pixel that depth alone says is covered so far.
+  glm::vec4 mixture(const Rgb& signal, float by_depth) const {
+    if (trust == 0) return {0, 0, 0, by_depth};
+    constexpr float kNoise = .06f;  // what both sides' own patterns leave
+    const float along = sum_of((signal - background) * apart) * per_squared;
+    const float by_colour = std::clamp((along - kNoise) / (1 - 2 * kNoise), 0.f, 1.f);
+    const float c = trust * by_colour + (1 - trust) * by_depth;
+    const Rgb fringe = apart * (trust * c * (1 - c));
+    return {fringe.r, fringe.g, fringe.b, c};
+  }
+};
+
+// Which pixels may lie on an edge: where within the radius some are covered and some are not.
+class EdgeBand {
+ public:
+  EdgeBand(const Silhouettes& in, const compositor::Rect& area)
+      : area_(area), radius_(static_cast<int>(std::ceil(in.blur_px))) {
+    load_mask(in.distance_m);
+    count_covered();
+  }
+
+  int radius() const { return radius_; }
+  bool is_background(std::size_t i) const { return covered_[i] == 0; }
+  bool is_thing(std::size_t i) const { return covered_[i] == window(); }
+  // What depth alone says: an edge of a pixel where half of the neighbourhood is covered, which is
+  // smooth though each pixel's depth is not.
+  float by_depth(std::size_t i) const {
+    const float off_half = static_cast<float>(covered_[i]) / static_cast<float>(window()) - .5f;
+    return std::clamp(off_half * static_cast<float>(2 * radius_ + 1) + .5f, 0.f, 1.f);
+  }
+
+ private:
+  int window() const { return (2 * radius_ + 1) * (2 * radius_ + 1); }
+  int columns() const { return area_.width() + 2 * radius_; }
+
+  // Of the area and the radius around it; beyond the picture's rim it goes on as there.
+  void load_mask(const Image<float>& distance_m) {
+    mask_.resize(static_cast<std::size_t>(columns()) *
+                 static_cast<std::size_t>(area_.height() + 2 * radius_));
+    const auto place = [](int v, int size) { return std::clamp(v, 0, size - 1); };
+    std::uint8_t* to = mask_.data();
+    for (int y = area_.y0 - radius_; y < area_.y1 + radius_; ++y) {
+      const auto from = distance_m.row(place(y, distance_m.height()));
+      const int x0 = area_.x0 - radius_, x1 = area_.x1 + radius_;
+      int x = x0;
+      const auto covers = [&](int at) {
+        return from[static_cast<std::size_t>(at)] < Silhouettes::kNothing;
+      };
+      for (; x < std::min(0, x1); ++x) *to++ = covers(0);
+      for (; x < std::min(x1, distance_m.width()); ++x) *to++ = covers(x);
+      for (; x < x1; ++x) *to++ = covers(distance_m.width() - 1);
+    }
+  }
+
+  // How many of the pixels within the radius are covered: sums down columns, then along rows.
+  void count_covered() {
+    const auto width = static_cast<std::size_t>(area_.width()),
+               wide = static_cast<std::size_t>(columns());
+    const std::size_t across = static_cast<std::size_t>(2 * radius_ + 1);
+    covered_.resize(width * static_cast<std::size_t>(area_.height()));
+    std::vector<std::uint16_t> sums(wide, 0);
+    const auto add = [&](std::size_t row, int sign) {
+      const std::uint8_t* const from = &mask_[row * wide];
+      for (std::size_t x = 0; x < wide; ++x)
+        sums[x] = static_cast<std::uint16_t>(sums[x] + sign * from[x]);
+    };
+    for (std::size_t row = 0; row + 1 < across; ++row) add(row, 1);
+    for (std::size_t y = 0; y < static_cast<std::size_t>(area_.height()); ++y) {
+      add(y + across - 1, 1);
+      std::uint16_t* const to = &covered_[y * width];
+      int sum = 0;
+      for (std::size_t x = 0; x + 1 < across; ++x) sum += sums[x];
+      for (std::size_t x = 0; x < width; ++x) {
+        sum += sums[x + across - 1];
+        to[x] = static_cast<std::uint16_t>(sum);
+        sum -= sums[x];
+      }
+      add(y, -1);
+    }
+  }
+
+  compositor::Rect area_;
+  int radius_;
+  std::vector<std::uint8_t> mask_;
+  std::vector<std::uint16_t> covered_;
+};
+
+// Blocks of pixels as large as an edge is uncertain.
+struct Blocks {
+  const compositor::Rect& area;
+  int size;
+  int columns = (area.width() + size - 1) / size, rows = (area.height() + size - 1) / size;
+
+  std::size_t count() const {
+    return static_cast<std::size_t>(columns) * static_cast<std::size_t>(rows);
+  }
+  compositor::Rect rect(std::size_t block) const {
+    const int x = area.x0 + static_cast<int>(block) % columns * size,
+              y = area.y0 + static_cast<int>(block) / columns * size;
+    return compositor::common({x, y, x + size, y + size}, area);
+  }
+  // Of itself and its neighbours.
+  EdgeBlock around(const std::vector<EdgeBlock>& blocks, std::size_t block) const {
+    const int i = static_cast<int>(block) % columns, j = static_cast<int>(block) / columns;
+    EdgeBlock out;
+    for (int v = std::max(j - 1, 0); v <= std::min(j + 1, rows - 1); ++v)
+      for (int u = std::max(i - 1, 0); u <= std::min(i + 1, columns - 1); ++u)
+        out += blocks[static_cast<std::size_t>(v * columns + u)];
+    return out;
+  }
+};
+
+// Calls body(index in the foreground, x, y).
+template <class Body>
+void for_pixels(const compositor::Foreground& f, const compositor::Rect& r, const Body& body) {
+  for (int y = r.y0; y < r.y1; ++y) {
+    std::size_t i = f.index(r.x0, y);
+    for (int x = r.x0; x < r.x1; ++x, ++i) body(i, x, y);
+  }
+}
+
+template <class Pixel>
+void find_cover_in(const Silhouettes& in, const Signal<Pixel>& signal,
+                   compositor::Foreground& out) {
+  const EdgeBand band(in, out.area);
+  const Blocks grid{out.area, 2 * band.radius() + 2};
+  std::vector<EdgeBlock> blocks(grid.count());
+  for (std::size_t b = 0; b < blocks.size(); ++b)
+    for_pixels(out, grid.rect(b), [&](std::size_t i, int x, int y) {
+      const bool thing = band.is_thing(i);
+      out.distance_m[i] = in.distance_m.at(x, y);
+      out.cover[i] = {0, 0, 0, thing ? 1 : 0};
+      blocks[b].nearest_m = std::min(blocks[b].nearest_m, out.distance_m[i]);
+      blocks[b].has_edge |= !thing && !band.is_background(i);
+    });
+  std::vector<bool> edges(blocks.size()), near_edge(blocks.size());
+  for (std::size_t b = 0; b < blocks.size(); ++b) {
+    edges[b] = blocks[b].has_edge;
+    near_edge[b] = grid.around(blocks, b).has_edge;
+  }
+  for (std::size_t b = 0; b < blocks.size(); ++b)
+    if (near_edge[b])
+      for_pixels(out, grid.rect(b), [&](std::size_t i, int x, int y) {
+        if (band.is_thing(i)) blocks[b].thing.add(signal.at(x, y));
+        if (band.is_background(i)) blocks[b].background.add(signal.at(x, y));
+      });
+  for (std::size_t b = 0; b < blocks.size(); ++b) {
+    if (!edges[b]) continue;
+    const TwoColours colours(grid.around(blocks, b));
+    for_pixels(out, grid.rect(b), [&](std::size_t i, int x, int y) {
+      if (band.is_thing(i) || band.is_background(i)) return;
+      const float mask = in.cover.empty() ? 0 : in.cover.at(x, y);
+      out.cover[i] = colours.mixture(signal.at(x, y), mask > 0 ? mask : band.by_depth(i));
+      if (!(out.distance_m[i] < Silhouettes::kNothing)) out.distance_m[i] = colours.nearest_m;
+    });
+  }
+}
+
+}  // namespace
+
+void find_cover(const Silhouettes& silhouettes, const FramePixels& picture,
+                const ResponseTable* curve, compositor::Foreground& out) {
+  const int rim = 2 * static_cast<int>(std::ceil(silhouettes.blur_px)) + 2;
+  const compositor::Rect& a = silhouettes.area;
+  const Image<float>& d = silhouettes.distance_m;
+  out.area = compositor::common({a.x0 - rim, a.y0 - rim, a.x1 + rim, a.y1 + rim},
+                                {0, 0, d.width(), d.height()});
+  const auto pixels =
+      static_cast<std::size_t>(out.area.width()) * static_cast<std::size_t>(out.area.height());
+  out.cover.resize(pixels);
+  out.distance_m.resize(pixels);
+  std::visit(
+      [&]<class Pixel>(const Image<Pixel>& p) {
+        find_cover_in(silhouettes, Signal<Pixel>(p, curve), out);
+      },
+      picture);
+}
+
+}  // namespace penumbra::runtime
