@@ -60,10 +60,12 @@ Result<RigCamera> read_rig_camera(const TomlKeys& keys) {
   PENUMBRA_ASSIGN(info, read_camera_info(keys));
   camera.info = std::move(info);
   const bool light = sees_light(camera.info.role);
-  if (light && !keys.has("response")) return keys.invalid("response", "is missing");
-  PENUMBRA_ASSIGN(response, read_response(keys, camera.info.role, {}));
-  camera.info.response = response;
-  PENUMBRA_TRY(read_white_balance(keys, camera.info.response));
+  if (light) {
+    if (!keys.has("response")) return keys.invalid("response", "is missing");
+    PENUMBRA_ASSIGN(response, read_response(keys, {}));
+    camera.info.response = response;
+    PENUMBRA_TRY(read_white_balance(keys, camera.info.response));
+  }
   PENUMBRA_ASSIGN(device, keys.text("device"));
   camera.settings.device = device;
   camera.settings.stop_automatics = light;
@@ -93,9 +95,7 @@ Result<RigCamera> read_rig_camera(const TomlKeys& keys) {
     camera.delay_frames = delay;
   }
   for (const char* key : {"exposures_s", "gains", "light_error", "white_balance_k", "unit_gain"})
-    if (!light && keys.has(key))
-      return keys.invalid(key, fmt::format("means nothing of a camera with role = \"{}\"",
-                                           role_name(camera.info.role)));
+    if (!light && keys.has(key)) return keys.invalid(key, no_light(camera.info.role));
   PENUMBRA_TRY(read_exposures(keys, camera));
   return camera;
 }

@@ -139,6 +139,16 @@ Result<void> read_identity(const TomlKeys& keys, CameraInfo& info) {
   return {};
 }
 
+/// Depth and masks are no pictures of light.
+Result<void> refuse_light(const TomlKeys& keys, Role role) {
+  if (sees_light(role)) return {};
+  for (const std::string_view key :
+       {"eye", "response", "black_level", "white_balance", "full_well_electrons", "read_noise",
+        "noise", "psf_sigma_px", "colour", "vignetting", "lens", "ball"})
+    if (keys.has(key)) return keys.invalid(key, no_light(role));
+  return {};
+}
+
 /// A file of `calibrate noise`.
 Result<void> noise_in(const TomlKeys& keys, CameraInfo& info) {
   if (!keys.has("noise")) return {};
@@ -379,13 +389,11 @@ Result<void> read_regions(const TomlKeys& keys, CameraInfo& info) {
 
 }  // namespace
 
-Result<calib::Response> read_response(const TomlKeys& keys, Role role,
-                                      const std::vector<FrameRow>& rows) {
-  if (!sees_light(role)) {
-    if (!keys.has("response")) return calib::Response::linear();
-    return keys.invalid(
-        "response", fmt::format("means nothing of a camera with role = \"{}\"", role_name(role)));
-  }
+std::string no_light(Role role) {
+  return fmt::format("means nothing of a camera with role = \"{}\"", role_name(role));
+}
+
+Result<calib::Response> read_response(const TomlKeys& keys, const std::vector<FrameRow>& rows) {
   if (!keys.has("response")) {
     if (std::ranges::all_of(rows, is_float_file)) return calib::Response::linear();
     return keys.invalid("response", "is missing");
@@ -401,6 +409,7 @@ Result<calib::Response> read_response(const TomlKeys& keys, Role role,
 Result<CameraInfo> read_camera_info(const TomlKeys& keys) {
   CameraInfo info;
   PENUMBRA_TRY(read_identity(keys, info));
+  PENUMBRA_TRY(refuse_light(keys, info.role));
   PENUMBRA_TRY(read_regions(keys, info));
   PENUMBRA_TRY(noise_in(keys, info));
   PENUMBRA_TRY(read_sensor(keys, info));

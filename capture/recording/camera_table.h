@@ -47,9 +47,12 @@ inline constexpr std::array<std::string_view, 25> kCameraKeys{"name",
 /// errors: kNotFound, kUnreadable, kInvalid (file, line, key)
 Result<CameraInfo> read_camera_info(const TomlKeys& keys);
 
-/// Codes mean nothing without a response; float frames, depth and masks need none.
-Result<calib::Response> read_response(const TomlKeys& keys, Role role,
-                                      const std::vector<FrameRow>& rows);
+/// What is wrong with a key of light of a camera that sees none.
+std::string no_light(Role role);
+
+/// Codes mean nothing without a response; float frames need none.
+/// in: a camera that sees light
+Result<calib::Response> read_response(const TomlKeys& keys, const std::vector<FrameRow>& rows);
 Result<void> read_white_balance(const TomlKeys& keys, calib::Response& response);
 
 }  // namespace penumbra::capture

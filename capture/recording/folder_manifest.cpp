@@ -24,7 +24,8 @@ Result<FolderCamera> read_camera(const TomlKeys& keys) {
     return keys.invalid("frames", fmt::format("\"{}\" is not a path inside the folder", list));
   PENUMBRA_ASSIGN(rows, read_frame_list(folder, list));
   camera.rows = std::move(rows);
-  PENUMBRA_ASSIGN(response, read_response(keys, camera.info.role, camera.rows));
+  if (!sees_light(camera.info.role)) return camera;
+  PENUMBRA_ASSIGN(response, read_response(keys, camera.rows));
   camera.info.response = response;
   PENUMBRA_TRY(read_white_balance(keys, camera.info.response));
   return camera;
@@ -65,10 +66,12 @@ Result<std::vector<CameraInfo>> read_cameras(const toml::table& root, const fs::
     const TomlKeys camera_keys(path, *table);
     PENUMBRA_TRY(camera_keys.only(kCameraKeys));
     PENUMBRA_ASSIGN(info, read_camera_info(camera_keys));
-    PENUMBRA_ASSIGN(name, camera_keys.text("response"));
-    PENUMBRA_ASSIGN(found, response(name));
-    info.response = found;
-    PENUMBRA_TRY(read_white_balance(camera_keys, info.response));
+    if (sees_light(info.role)) {
+      PENUMBRA_ASSIGN(name, camera_keys.text("response"));
+      PENUMBRA_ASSIGN(found, response(name));
+      info.response = found;
+      PENUMBRA_TRY(read_white_balance(camera_keys, info.response));
+    }
     if (std::ranges::any_of(cameras, [&](const auto& c) { return c.name == info.name; }))
       return camera_keys.invalid("name", fmt::format("\"{}\" is used twice", info.name));
     cameras.push_back(std::move(info));
