@@ -56,8 +56,12 @@ struct RayWorld::Impl {
   };
   RTCDevice device = nullptr;
   std::vector<Body> bodies;
-  ~Impl() {
+  void clear() {
     for (const Body& b : bodies) rtcReleaseScene(b.scene);
+    bodies.clear();
+  }
+  ~Impl() {
+    clear();
     if (device) rtcReleaseDevice(device);
   }
 };
@@ -151,6 +155,10 @@ void RayWorld::update_vertices(int mesh, const Mesh& form) {
   set_embree_form(body.scene, form);
   body.centre = bounds_of(form).centre();
   body.radius = radius_around(form, body.centre);
+}
+
+void RayWorld::clear() {
+  impl_->clear();
 }
 
 bool RayWorld::empty() const {

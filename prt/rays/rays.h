@@ -79,6 +79,8 @@ class RayWorld {
   void set_pose(int mesh, const Pose& world_from_mesh);
   /// Another form of the same mesh: as many vertices, the same triangles.
   void update_vertices(int mesh, const Mesh& form);
+  /// Takes all meshes out.
+  void clear();
   bool empty() const;
 
   static constexpr int kPacket = 16;

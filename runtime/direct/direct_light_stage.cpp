@@ -154,6 +154,48 @@ void DirectLightStage::set_pose(std::size_t object, const Pose& world_from_bake)
     (*casters)[object].world_from_mesh = world_from_bake;
 }
 
+// It is always the last of the real casters.
+void DirectLightStage::keep_passing_out() {
+  if (!any_passing()) return;
+  real_casters_.pop_back();
+  for (auto& casters : real_on_) casters.pop_back();
+}
+
+Result<void> DirectLightStage::set_passing(prt::Mesh mesh) {
+  if (mesh.triangles.empty() && !any_passing()) return {};
+  const auto note_place = [&] {
+    if (!any_passing()) return;
+    const glm::vec3 centre = prt::bounds_of(passing_mesh_).centre();
+    passed_.push_back({glm::dvec3(centre), double(prt::radius_around(passing_mesh_, centre))});
+  };
+  note_place();
+  keep_passing_out();
+  if (passing_) passing_->clear();
+  passing_mesh_ = std::move(mesh);
+  if (!any_passing()) return {};
+  if (!passing_) {
+    PENUMBRA_ASSIGN(world, prt::RayWorld::create());
+    passing_.emplace(std::move(world));
+  }
+  if (const auto added = passing_->add(passing_mesh_); !added) {
+    passing_mesh_ = {};
+    return fail(added.error().code, "what passes by", added.error().detail);
+  }
+  passing_silhouette_ = shadows::SilhouetteMesh(passing_mesh_);
+  const shadows::Caster caster{&passing_mesh_, &passing_silhouette_, {}};
+  real_casters_.push_back(caster);
+  for (auto& casters : real_on_) casters.push_back(caster);
+  note_place();
+  return {};
+}
+
+std::vector<shadows::BoundingSphere> DirectLightStage::spheres() const {
+  std::vector<shadows::BoundingSphere> out;
+  for (std::size_t i = 0; i < spheres_.size(); ++i)
+    if (visible_[i]) out.push_back({poses_[i] * spheres_[i].centre, spheres_[i].radius});
+  return out;
+}
+
 void DirectLightStage::update_vertices(std::size_t object) {
   const prt::Mesh& mesh = scene_->objects[object].baked.mesh;
   other_form_[object] = 1;
@@ -189,6 +231,7 @@ void DirectLightStage::shade_hits(std::size_t object, const lighting::DistantLig
   const auto trace_packet = [&] {
     std::uint32_t by_others = virtual_.occluded(rays, count, own);
     if (!real_.empty()) by_others |= real_.occluded(rays, count);
+    if (any_passing()) by_others |= passing_->occluded(rays, count);
     const std::uint32_t by_itself = virtual_.occluded_by(own, rays, count);
     for (int i = 0; i < count; ++i)
       out[index[static_cast<std::size_t>(i)]] = static_cast<std::uint8_t>(
@@ -216,7 +259,7 @@ void DirectLightStage::shade_hits(std::size_t object, const lighting::DistantLig
   if (count > 0) trace_packet();
 }
 
-// Whether an object moved, or another one that stands or stood between it and the light.
+// Whether an object moved, or another thing that stands or stood between it and the light.
 bool DirectLightStage::may_have_changed(std::size_t object,
                                         const lighting::DistantLight& source) const {
   if (moved_from_[object]) return true;
@@ -228,7 +271,9 @@ bool DirectLightStage::may_have_changed(std::size_t object,
     if (moved_from_[i] && (shadows::may_occlude(at(i, *moved_from_[i]), here, source) ||
                            shadows::may_occlude(at(i, poses_[i]), here, source)))
       return true;
-  return false;
+  return std::ranges::any_of(passed_, [&](const shadows::BoundingSphere& thing) {
+    return shadows::may_occlude(thing, here, source);
+  });
 }
 
 // True where there were any.
@@ -268,7 +313,7 @@ void DirectLightStage::trace(TracedLight& t, bool all) {
     // half would show (walker: 3.2 %).
     const int sampling =
         virtual_casters_[i].visibility ? t.detail.object_samples : sampling_.object;
-    shadows::trace_direct_light(rays(), casters(), virtual_casters_[i],
+    shadows::trace_direct_light(all_rays(), casters(), virtual_casters_[i],
                                 o.baked.receiver ? &own : nullptr, t.source, sampling, t.cosine[i]);
   }
   trace_planes(t);
@@ -311,7 +356,9 @@ void DirectLightStage::trace_planes(TracedLight& t) {
     if (!t.detail.fine && !shadows::is_wide(t.source)) options = options.coarse();
     shadows::render_shadow_maps(casters, scene_->planes[p], t.source, options, t.on_plane[p]);
     options.size /= 2;
-    if (!real.empty())
+    if (real.empty())
+      t.real_on_plane[p] = {};
+    else
       shadows::render_real_shadow_map(casters, around_, scene_->planes[p], t.source, options,
                                       t.real_on_plane[p]);
   }
@@ -322,6 +369,7 @@ bool DirectLightStage::update(std::span<const lighting::DistantLight> lights,
                               std::span<const Rgb> open_irradiance, std::size_t fine_lights) {
   if (!lights.empty()) follow_forms();
   const bool poses_changed =
+      !passed_.empty() ||
       std::ranges::any_of(moved_from_, [](const auto& p) { return p.has_value(); });
   std::swap(traced_, before_);
   traced_.clear();
@@ -359,6 +407,7 @@ bool DirectLightStage::update(std::span<const lighting::DistantLight> lights,
   all_changed |= traced_.size() != before_.size();
   if (all_changed) std::ranges::fill(changed_, 1);
   std::ranges::fill(moved_from_, std::nullopt);
+  passed_.clear();
   return changed || all_changed;
 }
 

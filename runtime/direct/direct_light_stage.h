@@ -35,6 +35,14 @@ class DirectLightStage {
   /// One that is not visible is not lit, and its pose must keep it out of all light. All are
   /// visible at first.
   void show(std::size_t object, bool visible) { visible_[object] = visible; }
+  /// Real things that pass by, in the world frame, in the place of those before: they throw shadows
+  /// of the lights on objects, and where theirs are on a plane the objects' take no more. None: a
+  /// mesh without triangles.
+  /// errors: kUnavailable (Embree)
+  Result<void> set_passing(prt::Mesh mesh);
+  bool any_passing() const { return !passing_mesh_.triangles.empty(); }
+  /// Around each object as it stands.
+  std::vector<shadows::BoundingSphere> spheres() const;
   /// Follows the mesh of an object that moves by itself.
   void update_vertices(std::size_t object);
   /// Brings everything up to date with the lights and with what stands around. True when anything
@@ -114,7 +122,11 @@ class DirectLightStage {
         virtual_(std::move(virtual_things)),
         real_(std::move(real_things)) {}
   shadows::RayOccluders rays() const { return {&virtual_, &real_, near_m_}; }
+  shadows::RayOccluders all_rays() const {
+    return {&virtual_, &real_, near_m_, passing_ ? &*passing_ : nullptr};
+  }
   shadows::ShadowCasters casters() { return {virtual_casters_, real_casters_, near_m_, &memo_}; }
+  void keep_passing_out();
   Result<void> add_object(const PreparedObject& object);
   Result<void> add_real_mesh();
   void add_caster(const prt::Mesh& mesh, const Pose& pose, std::vector<shadows::Caster>& to);
@@ -136,6 +148,11 @@ class DirectLightStage {
   const PreparedScene* scene_;
   ShadowSampling sampling_;
   prt::RayWorld virtual_, real_;
+  std::optional<prt::RayWorld> passing_;  // once anything passed
+  prt::Mesh passing_mesh_;
+  shadows::SilhouetteMesh passing_silhouette_;
+  // Where it was at the last update, and is now, since the last update
+  std::vector<shadows::BoundingSphere> passed_;
   // By object: neither rays nor silhouettes know its present mesh yet
   std::vector<char> other_form_;
   std::vector<Pose> poses_;

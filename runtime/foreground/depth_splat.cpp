@@ -50,23 +50,22 @@ void fill_holes(std::span<float> row) {
   }
 }
 
-void load_depth(const DepthPicture& depth, Image<float>& out) {
-  if (!out.same_size(depth.codes)) out.reset(depth.codes.width(), depth.codes.height());
+void load_depth(const Image<Rgb16>& codes, float unit_m, Image<float>& out) {
+  if (!out.same_size(codes)) out.reset(codes.width(), codes.height());
   for (int y = 0; y < out.height(); ++y) {
-    const auto from = depth.codes.row(y);
+    const auto from = codes.row(y);
     const auto to = out.row(y);
-    for (std::size_t x = 0; x < from.size(); ++x)
-      to[x] = depth.unit_m * static_cast<float>(from[x].r);
+    for (std::size_t x = 0; x < from.size(); ++x) to[x] = unit_m * static_cast<float>(from[x].r);
     fill_holes(to);
   }
 }
 
-void find_in_front(std::span<const SeenPlane> planes, const DepthRays& rays, DepthRows& rows) {
-  const Image<float>& depth = rows.depth_m;
-  if (!rows.front_m.same_size(depth)) rows.front_m.reset(depth.width(), depth.height());
-  rows.in_front = {};
+void keep_rows_in_front(const Image<float>& depth, std::span<const SeenPlane> planes,
+                        const DepthRays& rays, DepthFront& out) {
+  if (!out.depth_m.same_size(depth)) out.depth_m.reset(depth.width(), depth.height());
+  out.area = {};
   for (int y = 0; y < depth.height(); ++y) {
-    const auto front = rows.front_m.row(y);
+    const auto front = out.depth_m.row(y);
     keep_in_front({depth.row(std::max(y - 1, 0)), depth.row(y),
                    depth.row(std::min(y + 1, depth.height() - 1)), rays.x.row(y), rays.y.row(y)},
                   planes, front);
@@ -74,18 +73,17 @@ void find_in_front(std::span<const SeenPlane> planes, const DepthRays& rays, Dep
     const auto begin = std::ranges::find_if(front, is_there);
     if (begin == front.end()) continue;
     const auto end = std::ranges::find_if(front | std::views::reverse, is_there).base();
-    rows.in_front = compositor::united(
-        rows.in_front,
-        {static_cast<int>(begin - front.begin()), y, static_cast<int>(end - front.begin()), y + 1});
+    out.area = compositor::united(out.area, {static_cast<int>(begin - front.begin()), y,
+                                             static_cast<int>(end - front.begin()), y + 1});
   }
 }
 
 // A pixel that is unlike all of its neighbours but one errs. The rim of what is in front is left.
-void drop_specks(DepthRows& rows) {
+void drop_specks(DepthFront& out_front) {
   constexpr int kMaxAlike = 1;
-  Image<float>&front = rows.front_m, &before = rows.depth_m;
+  Image<float>&front = out_front.depth_m, &before = out_front.scratch;
   const compositor::Rect r =
-      compositor::common(rows.in_front, {1, 1, front.width() - 1, front.height() - 1});
+      compositor::common(out_front.area, {1, 1, front.width() - 1, front.height() - 1});
   if (r.empty()) return;
   for (int y = r.y0 - 1; y <= r.y1; ++y) std::ranges::copy(front.row(y), before.row(y).begin());
   for (int y = r.y0; y < r.y1; ++y) {
@@ -106,28 +104,28 @@ void drop_specks(DepthRows& rows) {
   }
 }
 
-// Where the pixels of a row of what is in front lie in the view: to the scratch.
-void project(const SplatView& view, const Pose& view_from_depth, const DepthRays& rays, int y,
-             DepthRows& rows) {
-  const auto first = static_cast<std::size_t>(rows.in_front.x0),
-             count = static_cast<std::size_t>(rows.in_front.width());
-  const auto depth = rows.front_m.row(y).subspan(first, count);
-  const auto ray_x = rays.x.row(y).subspan(first, count),
+// Where the pixels of a row of what is in front lie in the view.
+void project(const SplatView& view, const Pose& view_from_depth, const DepthFront& front,
+             const DepthRays& rays, int y, SplatRow& out) {
+  const auto first = static_cast<std::size_t>(front.area.x0),
+             count = static_cast<std::size_t>(front.area.width());
+  const auto depth = front.depth_m.row(y).subspan(first, count),
+             ray_x = rays.x.row(y).subspan(first, count),
              ray_y = rays.y.row(y).subspan(first, count);
-  for (auto* v : {&rows.x_px, &rows.y_px, &rows.distance_m}) v->resize(count);
+  for (auto* v : {&out.x_px, &out.y_px, &out.distance_m}) v->resize(count);
   if (!view.lens)
     return project_row(
         {glm::mat3(view_from_depth.rotation_matrix()), glm::vec3(view_from_depth.translation),
          glm::vec2(view.camera.focal_px), glm::vec2(view.camera.principal_px)},
-        {{}, depth, {}, ray_x, ray_y}, {rows.x_px, rows.y_px, rows.distance_m});
+        {{}, depth, {}, ray_x, ray_y}, {out.x_px, out.y_px, out.distance_m});
   for (std::size_t i = 0; i < count; ++i) {
-    rows.distance_m[i] = 0;
+    out.distance_m[i] = 0;
     if (!(depth[i] > 0)) continue;
     const glm::dvec3 p = view_from_depth * (double(depth[i]) * glm::dvec3(ray_x[i], ray_y[i], -1));
     if (view.lens->is_beside(p)) continue;
     const glm::dvec2 px = view.lens->pixel(p);
-    rows.x_px[i] = static_cast<float>(px.x), rows.y_px[i] = static_cast<float>(px.y);
-    rows.distance_m[i] = static_cast<float>(glm::length(p));
+    out.x_px[i] = static_cast<float>(px.x), out.y_px[i] = static_cast<float>(px.y);
+    out.distance_m[i] = static_cast<float>(glm::length(p));
   }
 }
 
@@ -188,19 +186,24 @@ void Silhouettes::reset(int width, int height) {
   blur_px = 0;
 }
 
-void splat_depth(const DepthPicture& depth, std::span<const prt::Plane> planes,
-                 const SplatView& view, DepthRows& scratch, Silhouettes& out) {
+void find_front(const Image<Rgb16>& codes, float unit_m, const DepthRays& rays,
+                const Pose& world_from_camera, std::span<const prt::Plane> planes,
+                DepthFront& out) {
+  out.world_from_camera = world_from_camera;
+  load_depth(codes, unit_m, out.scratch);
+  keep_rows_in_front(out.scratch, seen_planes(planes, world_from_camera), rays, out);
+  drop_specks(out);
+}
+
+void splat_depth(const DepthFront& front, const DepthRays& rays, const SplatView& view,
+                 SplatRow& scratch, Silhouettes& out) {
   constexpr float kOverlap = 1.15f, kBlur = 1.5f;  // of a depth pixel
   constexpr float kMaxSide_px = 16;  // of what is close up; what it leaves is closed below
-  load_depth(depth, scratch.depth_m);
-  find_in_front(seen_planes(planes, depth.world_from_camera), depth.rays, scratch);
-  drop_specks(scratch);
-  const Pose view_from_depth = view.world_from_camera.inverse() * depth.world_from_camera;
-  const float scale = static_cast<float>(view.camera.focal_px.x) / depth.rays.focal_px;
-  const compositor::Rect& front = scratch.in_front;
-  for (int y = front.y0; y < front.y1; ++y) {
-    project(view, view_from_depth, depth.rays, y, scratch);
-    const auto row = scratch.front_m.row(y).subspan(static_cast<std::size_t>(front.x0));
+  const Pose view_from_depth = view.world_from_camera.inverse() * front.world_from_camera;
+  const float scale = static_cast<float>(view.camera.focal_px.x) / rays.focal_px;
+  for (int y = front.area.y0; y < front.area.y1; ++y) {
+    project(view, view_from_depth, front, rays, y, scratch);
+    const auto row = front.depth_m.row(y).subspan(static_cast<std::size_t>(front.area.x0));
     for (std::size_t i = 0; i < scratch.distance_m.size(); ++i) {
       const float w = scratch.distance_m[i];
       if (!(w > 0)) continue;

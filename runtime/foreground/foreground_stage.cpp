@@ -4,11 +4,14 @@
 
 #include <algorithm>
 #include <cmath>
+#include <glm/geometric.hpp>
 #include <utility>
 #include <variant>
 
+#include "prt/rays/rays.h"
 #include "runtime/foreground/internal/depth_splat.h"
 #include "runtime/foreground/internal/soft_edges.h"
+#include "runtime/scene/depth_mesh.h"
 
 namespace penumbra::runtime {
 
@@ -18,16 +21,25 @@ struct ForegroundStage::Impl {
     capture::CameraInfo info;
     DepthRays rays;  // of a depth camera
     std::optional<capture::Frame> newest{};
+    DepthFront front{};  // of the newest, of a depth camera
+
+    bool is_depth() const { return info.role == capture::Role::kDepth; }
+    bool tells_of(TimestampNs time) const {
+      return newest && std::abs(Seconds(time - newest->time).count()) <= kOldest.count();
+    }
   };
 
-  void lay(const Source& source, const capture::Frame& view, const calib::CameraModel& camera,
-           const compositor::ViewLens* lens);
+  Result<void> check(const Source& source, const FramePixels& pixels) const;
+  void lay(const Source& source, const SplatView& view);
   std::shared_ptr<compositor::Foreground> unused();
+  bool is_known(const glm::dvec3& eye, const glm::dvec3& point) const;
 
   std::vector<Source> sources;
   std::vector<prt::Plane> planes;
-  Silhouettes silhouettes;  // scratch, as rows
-  DepthRows rows;
+  std::optional<prt::RayScene> mesh;  // of the scene
+  std::uint64_t depth_frames = 0;
+  Silhouettes silhouettes;  // scratch, as row
+  SplatRow row;
   std::vector<std::shared_ptr<compositor::Foreground>> handed_out;
 };
 
@@ -41,40 +53,107 @@ bool ForegroundStage::any() const {
 }
 
 Result<ForegroundStage> ForegroundStage::create(const std::vector<capture::CameraInfo>& cameras,
-                                                std::span<const prt::Plane> planes) {
+                                                std::span<const prt::Plane> planes,
+                                                const prt::Mesh& mesh) {
   auto impl = std::make_unique<Impl>();
   impl->planes.assign(planes.begin(), planes.end());
   for (std::size_t i = 0; i < cameras.size(); ++i) {
     const capture::CameraInfo& c = cameras[i];
     if (capture::sees_light(c.role)) continue;
     Impl::Source source{static_cast<int>(i), c, {}};
-    if (c.role == capture::Role::kDepth) {
+    if (source.is_depth()) {
       auto rays = DepthRays::create(c.projection);
       if (!rays) return fail(rays.error().code, c.name, rays.error().detail);
       source.rays = std::move(*rays);
+      if (!mesh.triangles.empty() && !impl->mesh) {
+        PENUMBRA_ASSIGN(known, prt::RayScene::build(mesh));
+        impl->mesh.emplace(std::move(known));
+      }
     }
     impl->sources.push_back(std::move(source));
   }
   return ForegroundStage(std::move(impl));
 }
 
+Result<void> ForegroundStage::Impl::check(const Source& source, const FramePixels& pixels) const {
+  const calib::CameraModel& camera = source.info.projection;
+  if (source.is_depth() && !std::holds_alternative<Image<Rgb16>>(pixels))
+    return fail(ErrorCode::kInvalid, source.info.name, "has depth that is not of 16 bits");
+  if (std::holds_alternative<Image<Rgb>>(pixels))
+    return fail(ErrorCode::kInvalid, source.info.name, "has a mask that is not of 8 or 16 bits");
+  const int w = capture::width(pixels), h = capture::height(pixels);
+  if (w == camera.width && h == camera.height) return {};
+  return fail(ErrorCode::kInvalid, source.info.name,
+              fmt::format("has a frame of {}x{} pixels instead of {}x{}", w, h, camera.width,
+                          camera.height));
+}
+
 Result<void> ForegroundStage::add(const capture::Frame& frame) {
   const auto source = std::ranges::find(impl_->sources, frame.camera, &Impl::Source::camera);
   if (source == impl_->sources.end() || !frame.pixels)
     return fail(ErrorCode::kInvalid, "frame", "belongs to no depth camera and no mask");
-  const capture::CameraInfo& info = source->info;
-  const bool depth = info.role == capture::Role::kDepth;
-  if (depth && !std::holds_alternative<Image<Rgb16>>(*frame.pixels))
-    return fail(ErrorCode::kInvalid, info.name, "has depth that is not of 16 bits");
-  if (std::holds_alternative<Image<Rgb>>(*frame.pixels))
-    return fail(ErrorCode::kInvalid, info.name, "has a mask that is not of 8 or 16 bits");
-  const int w = capture::width(*frame.pixels), h = capture::height(*frame.pixels);
-  if (w != info.projection.width || h != info.projection.height)
-    return fail(ErrorCode::kInvalid, info.name,
-                fmt::format("has a frame of {}x{} pixels instead of {}x{}", w, h,
-                            info.projection.width, info.projection.height));
+  PENUMBRA_TRY(impl_->check(*source, *frame.pixels));
   source->newest = frame;
+  if (!source->is_depth()) return {};
+  ++impl_->depth_frames;
+  find_front(std::get<Image<Rgb16>>(*frame.pixels), static_cast<float>(source->info.depth_unit_m),
+             source->rays, frame.world_from_camera, impl_->planes, source->front);
   return {};
+}
+
+bool ForegroundStage::tells_of(TimestampNs time) const {
+  return std::ranges::any_of(
+      impl_->sources, [&](const Impl::Source& s) { return s.is_depth() && s.tells_of(time); });
+}
+
+std::uint64_t ForegroundStage::depth_frames() const {
+  return impl_->depth_frames;
+}
+
+// Whether a point that is seen from `eye` is on the scene's own mesh, or behind it.
+bool ForegroundStage::Impl::is_known(const glm::dvec3& eye, const glm::dvec3& point) const {
+  if (!mesh) return false;
+  const double distance = glm::distance(eye, point);
+  const auto hit = mesh->intersect(glm::vec3(eye), glm::vec3((point - eye) / distance), 0);
+  const float far = static_cast<float>(distance);
+  return hit && hit->distance < far + compositor::Foreground::margin_m(far);
+}
+
+prt::Mesh ForegroundStage::surface_near(std::span<const shadows::BoundingSphere> spheres,
+                                        TimestampNs time) const {
+  constexpr double kReach_m = 1;    // what stands farther off is where lights may stand, too
+  constexpr int kMaxVertices = 96;  // along the longer side
+  const auto source = std::ranges::find_if(impl_->sources, [&](const Impl::Source& s) {
+    return s.is_depth() && s.tells_of(time) && !s.front.area.empty();
+  });
+  if (source == impl_->sources.end()) return {};
+  const DepthFront& front = source->front;
+  const compositor::Rect& area = front.area;
+  const glm::dvec3& eye = front.world_from_camera.translation;
+  const auto ray_of = [&](int x, int y) {
+    return glm::dvec2(source->rays.x.at(x, y), source->rays.y.at(x, y));
+  };
+  Image<float> depth(area.width(), area.height());
+  for (int y = area.y0; y < area.y1; ++y)
+    for (int x = area.x0; x < area.x1; ++x) {
+      const float d = front.depth_m.at(x, y);
+      if (!(d > 0)) continue;
+      const glm::dvec3 point = front.world_from_camera * (double(d) * glm::dvec3(ray_of(x, y), -1));
+      if (std::ranges::any_of(spheres, [&](const shadows::BoundingSphere& s) {
+            return glm::distance(point, s.centre) < s.radius + kReach_m;
+          }))
+        depth.at(x - area.x0, y - area.y0) = d;
+    }
+  const auto ray = [&](const glm::dvec2& pixel) -> std::optional<glm::dvec2> {
+    const int x = area.x0 + std::min(static_cast<int>(pixel.x), area.width() - 1),
+              y = area.y0 + std::min(static_cast<int>(pixel.y), area.height() - 1);
+    const glm::dvec2 towards = ray_of(x, y);
+    const float d = depth.at(x - area.x0, y - area.y0);
+    const glm::dvec3 point = front.world_from_camera * (double(d) * glm::dvec3(towards, -1));
+    return d > 0 && impl_->is_known(eye, point) ? std::nullopt : std::optional(towards);
+  };
+  auto mesh = mesh_from_depth(depth, ray, front.world_from_camera, {}, kMaxVertices);
+  return mesh ? std::move(*mesh) : prt::Mesh{};
 }
 
 // One that nobody looks at any more.
@@ -85,14 +164,10 @@ std::shared_ptr<compositor::Foreground> ForegroundStage::Impl::unused() {
   return handed_out.emplace_back(std::make_shared<compositor::Foreground>());
 }
 
-void ForegroundStage::Impl::lay(const Source& s, const capture::Frame& view,
-                                const calib::CameraModel& camera,
-                                const compositor::ViewLens* lens) {
-  const FramePixels& pixels = *s.newest->pixels;
-  if (s.info.role == capture::Role::kDepth)
-    splat_depth({std::get<Image<Rgb16>>(pixels), static_cast<float>(s.info.depth_unit_m), s.rays,
-                 s.newest->world_from_camera},
-                planes, {camera, lens, view.world_from_camera}, rows, silhouettes);
+void ForegroundStage::Impl::lay(const Source& source, const SplatView& view) {
+  const FramePixels& pixels = *source.newest->pixels;
+  if (source.is_depth())
+    splat_depth(source.front, source.rays, view, row, silhouettes);
   else if (const auto* const mask = std::get_if<Image<Rgb8>>(&pixels))
     lay_mask(*mask, silhouettes);
   else
@@ -102,13 +177,11 @@ void ForegroundStage::Impl::lay(const Source& s, const capture::Frame& view,
 std::shared_ptr<const compositor::Foreground> ForegroundStage::in_front_of(
     const capture::Frame& view, const calib::CameraModel& camera, const compositor::ViewLens* lens,
     const ResponseTable* curve) {
-  const auto tells = [&](const Impl::Source& s) {
-    return s.newest && std::abs(Seconds(view.time - s.newest->time).count()) <= kOldest.count();
-  };
+  const auto tells = [&](const Impl::Source& s) { return s.tells_of(view.time); };
   if (std::ranges::none_of(impl_->sources, tells)) return nullptr;
   impl_->silhouettes.reset(camera.width, camera.height);
   for (const Impl::Source& s : impl_->sources)
-    if (tells(s)) impl_->lay(s, view, camera, lens);
+    if (tells(s)) impl_->lay(s, {camera, lens, view.world_from_camera});
   if (impl_->silhouettes.area.empty()) return nullptr;
   auto out = impl_->unused();
   find_cover(impl_->silhouettes, *view.pixels, curve, *out);

@@ -3,6 +3,7 @@
 // threads: thread-bound
 #pragma once
 
+#include <cstdint>
 #include <memory>
 #include <span>
 #include <vector>
@@ -13,7 +14,9 @@
 #include "compositor/foreground.h"
 #include "compositor/view_lens.h"
 #include "core/result.h"
+#include "prt/geometry/mesh.h"
 #include "prt/geometry/plane.h"
+#include "shadows/silhouette/occluders.h"
 
 namespace penumbra::runtime {
 
@@ -24,9 +27,11 @@ class ForegroundStage {
   /// What is older than this tells nothing of a view frame.
   static constexpr Seconds kOldest{.25};
 
-  /// errors: kInvalid (a depth camera that sees more than 170 degrees)
+  /// planes, mesh: real things that the scene knows; the mesh may be empty
+  /// errors: kInvalid (a depth camera that sees more than 170 degrees), kUnavailable (Embree)
   static Result<ForegroundStage> create(const std::vector<capture::CameraInfo>& cameras,
-                                        std::span<const prt::Plane> planes);
+                                        std::span<const prt::Plane> planes,
+                                        const prt::Mesh& mesh = {});
   ~ForegroundStage();
   ForegroundStage(ForegroundStage&&) noexcept;
   ForegroundStage& operator=(ForegroundStage&&) noexcept;
@@ -43,6 +48,15 @@ class ForegroundStage {
                                                             const calib::CameraModel& camera,
                                                             const compositor::ViewLens* lens,
                                                             const ResponseTable* curve);
+
+  /// Whether a depth camera's newest frame is of about that time.
+  bool tells_of(TimestampNs time) const;
+  /// Counts the frames of depth cameras.
+  std::uint64_t depth_frames() const;
+  /// The surface of what stands in front, as far as it is within a metre of one of the spheres and
+  /// is not the scene's own mesh; of one depth camera, the first that tells of `time`. Without
+  /// triangles: nothing.
+  prt::Mesh surface_near(std::span<const shadows::BoundingSphere> spheres, TimestampNs time) const;
 
  private:
   struct Impl;

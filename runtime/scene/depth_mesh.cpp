@@ -1,4 +1,4 @@
-#include "runtime/scene/internal/depth_mesh.h"
+#include "runtime/scene/depth_mesh.h"
 
 #include <fmt/format.h>
 
@@ -52,29 +52,24 @@ void set_normals(prt::Mesh& mesh, const glm::vec3& eye) {
 
 }  // namespace
 
-Result<prt::Mesh> mesh_from_depth(const Image<float>& depth, const prt::PinholeView& view,
-                                  Rgb albedo) {
-  if (depth.width() != view.width || depth.height() != view.height)
-    return fail(ErrorCode::kInvalid, "depth",
-                fmt::format("has {}x{} pixels, but its camera has {}x{}", depth.width(),
-                            depth.height(), view.width, view.height));
-  const int step = (std::max(view.width, view.height) + kDepthVertices - 1) / kDepthVertices;
-  const int columns = (view.width + step - 1) / step, rows = (view.height + step - 1) / step;
+Result<prt::Mesh> mesh_from_depth(const Image<float>& depth, const DepthRay& ray,
+                                  const Pose& world_from_camera, Rgb albedo, int max_vertices) {
+  const int step = (std::max(depth.width(), depth.height()) + max_vertices - 1) / max_vertices;
+  const int columns = (depth.width() + step - 1) / step, rows = (depth.height() + step - 1) / step;
   prt::Mesh mesh;
   std::vector<float> depths;
   std::vector<std::uint32_t> vertex;  // by block
   for (int j = 0; j < rows; ++j)
     for (int i = 0; i < columns; ++i) {
       const float d = depth_of_block(depth, i * step, j * step, step);
-      depths.push_back(d);
+      const auto towards =
+          d > 0 ? ray({(i + .5) * step, (j + .5) * step}) : std::optional<glm::dvec2>();
+      depths.push_back(towards ? d : 0);
       vertex.push_back(static_cast<std::uint32_t>(mesh.positions.size()));
-      if (!(d > 0)) continue;
-      const double x = (i + .5) * step - view.principal_px.x,
-                   y = (j + .5) * step - view.principal_px.y;
-      const glm::dvec3 p(x / view.focal_px.x * d, -y / view.focal_px.y * d, -d);
-      mesh.positions.emplace_back(view.world_from_camera * p);
+      if (!towards) continue;
+      mesh.positions.emplace_back(world_from_camera * (double(d) * glm::dvec3(*towards, -1)));
     }
-  const glm::vec3 eye(view.world_from_camera.translation);
+  const glm::vec3 eye(world_from_camera.translation);
   const auto add = [&](std::size_t a, std::size_t b, std::size_t c) {
     if (!joined(depths[a], depths[b]) || !joined(depths[b], depths[c]) ||
         !joined(depths[c], depths[a]))
@@ -98,6 +93,19 @@ Result<prt::Mesh> mesh_from_depth(const Image<float>& depth, const prt::PinholeV
   mesh.albedo.assign(mesh.positions.size(), albedo);
   set_normals(mesh, eye);
   return mesh;
+}
+
+Result<prt::Mesh> mesh_from_depth(const Image<float>& depth, const prt::PinholeView& view,
+                                  Rgb albedo) {
+  if (depth.width() != view.width || depth.height() != view.height)
+    return fail(ErrorCode::kInvalid, "depth",
+                fmt::format("has {}x{} pixels, but its camera has {}x{}", depth.width(),
+                            depth.height(), view.width, view.height));
+  const DepthRay ray = [&](const glm::dvec2& pixel) -> std::optional<glm::dvec2> {
+    const glm::dvec2 off = (pixel - view.principal_px) / view.focal_px;
+    return glm::dvec2(off.x, -off.y);
+  };
+  return mesh_from_depth(depth, ray, view.world_from_camera, albedo, kDepthVertices);
 }
 
 Result<prt::Mesh> read_depth_mesh(const std::filesystem::path& depth_file,

@@ -17,7 +17,7 @@
 #include "prt/rays/fine_form.h"
 #include "runtime/scene/animated.h"
 #include "runtime/scene/bake_cache.h"
-#include "runtime/scene/internal/depth_mesh.h"
+#include "runtime/scene/depth_mesh.h"
 #include "runtime/scene/internal/standing.h"
 
 namespace penumbra::runtime {

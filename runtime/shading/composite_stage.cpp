@@ -117,7 +117,7 @@ Result<std::unique_ptr<CompositeStage>> CompositeStage::create(
                                                  surface, oversampling));
   PENUMBRA_ASSIGN(lights, DirectLightStage::create(scene, sampling));
   PENUMBRA_ASSIGN(recovery, FloorRecovery::create(scene));
-  PENUMBRA_ASSIGN(foreground, ForegroundStage::create(cameras, scene.planes));
+  PENUMBRA_ASSIGN(foreground, ForegroundStage::create(cameras, scene.planes, scene.real_mesh));
   if (scene.sun && recovery.idle())
     log_warning(
         "sun: one that no camera sees stays dark: no object stands on a floor of known albedo, or "
@@ -210,6 +210,18 @@ void CompositeStage::place_objects(double seconds) {
   }
 }
 
+// What passes between objects and the lights, where new depth tells of it.
+void CompositeStage::update_passing(double seconds) {
+  if (!foreground_.any()) return;
+  const TimestampNs time{std::llround(1e9 * seconds)};
+  const bool old = lights_.any_passing() && !foreground_.tells_of(time);
+  if (foreground_.depth_frames() == depth_frames_seen_ && !old) return;
+  depth_frames_seen_ = foreground_.depth_frames();
+  const StageTimer timer(times_, "foreground");
+  if (const auto set = lights_.set_passing(foreground_.surface_near(lights_.spheres(), time)); !set)
+    log_warning("{}: {}", set.error().where, set.error().detail);
+}
+
 // True where a light changed or what it meets did.
 bool CompositeStage::update_distant_lights(const lighting::LightEstimate& light) {
   const StageTimer timer(times_, "lights");
@@ -259,6 +271,7 @@ bool CompositeStage::shade(const lighting::LightEstimate& light, double seconds,
   }
   planes_.update(light);
   floor_radiance_ = radiance_of_floor(scene_, planes_.irradiance());
+  update_passing(seconds);
   bool lights_changed = update_distant_lights(light), lamps_changed = false;
   if (mirrored_.any()) {
     const StageTimer timer(times_, "reflections");

@@ -240,6 +240,7 @@ class CompositeStage {
   Rgb lost_at(std::size_t point, const RadianceSh& sky) const;
   bool move_objects();
   void place_objects(double seconds);
+  void update_passing(double seconds);
   bool update_distant_lights(const lighting::LightEstimate& light);
   bool relight_objects(const lighting::LightEstimate& light, bool all_changed, bool other_form);
   bool update_object(std::size_t index, const std::vector<Pose>& poses,
@@ -279,6 +280,7 @@ class CompositeStage {
   Rgb floor_radiance_;                      // in the open; 0: unknown, or not all that is real
   std::vector<compositor::ShadowMapOnPlane> on_planes_;
   bool lit_before_ = false;
+  std::uint64_t depth_frames_seen_ = 0;  // by the lights
   // In the last update something changed in what things send to each other; in this one nothing
   // moves, so that all can see it as it is now.
   bool exits_changed_ = false, catches_up_ = false;

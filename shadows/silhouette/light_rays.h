@@ -94,7 +94,8 @@ class Packets {
       return world && !world->empty() ? world->occluded(rays_, count_) : 0u;
     };
     const std::uint32_t by_virtual = blocked(occluders_.virtual_things),
-                        by_real = blocked(occluders_.real_things);
+                        by_real =
+                            blocked(occluders_.real_things) | blocked(occluders_.passing_things);
     for (int i = 0; i < count_; ++i)
       answer_(point_[i], weight_[i], (by_virtual >> i & 1) != 0, (by_real >> i & 1) != 0);
     count_ = 0;

@@ -33,6 +33,8 @@ struct RayOccluders {
   const prt::RayWorld* virtual_things = nullptr;
   const prt::RayWorld* real_things = nullptr;  // null or empty: none
   float near_m = 1e-4f;                        // rays start so far off their surface
+  // Real things that come and go; as real_things.
+  const prt::RayWorld* passing_things = nullptr;
 };
 
 struct Caster {

@@ -51,13 +51,14 @@ void foreground(benchmark::State& state) {
   const capture::Frame frame = still(0, codes, pose);
   const prt::Plane table;
   auto stage = runtime::ForegroundStage::create(cameras, {&table, 1});
-  if (!stage || !stage->add(still(1, film_depth(world, depth, beside, {}, 1), beside)))
-    return state.SkipWithError("no depth");
+  if (!stage) return state.SkipWithError(stage.error().detail.c_str());
+  const capture::Frame seen = still(1, film_depth(world, depth, beside, {}, 1), beside);
   double part = 0;
   Image<Rgb8> copy(view.width, view.height, Rgb8{});
   compare(
       state,
       [&] {
+        if (!stage->add(seen)) return;
         const auto found = stage->in_front_of(frame, view, nullptr, &curve);
         part = double(found->area.width()) * found->area.height() / double(codes.area());
       },

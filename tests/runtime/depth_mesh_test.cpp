@@ -1,4 +1,4 @@
-#include "runtime/scene/internal/depth_mesh.h"
+#include "runtime/scene/depth_mesh.h"
 #include "prt/prt.h"
 
 #include <gtest/gtest.h>

@@ -14,6 +14,7 @@
 #include <vector>
 
 #include "capture/capture.h"
+#include "core/conventions.h"
 #include "lighting/lighting.h"
 #include "prt/prt.h"
 #include "runtime/foreground/internal/depth_splat.h"
@@ -123,11 +124,13 @@ float cover_in(const compositor::Foreground& f, int x, int y) {
 // Depth alone, as it falls into the view's picture.
 EdgeError depth_alone(const Filmed& filmed) {
   Silhouettes out;
-  DepthRows scratch;
+  DepthFront front;
+  SplatRow scratch;
   out.reset(kView.width, kView.height);
   const auto rays = DepthRays::create(kDepthCamera);
-  splat_depth({std::get<Image<Rgb16>>(*filmed.depth.pixels), .001f, *rays, depth_pose()},
-              {&kTable, 1}, {kView, nullptr, HandWorld::view()}, scratch, out);
+  find_front(std::get<Image<Rgb16>>(*filmed.depth.pixels), .001f, *rays, depth_pose(), {&kTable, 1},
+             front);
+  splat_depth(front, *rays, {kView, nullptr, HandWorld::view()}, scratch, out);
   return edge_error(filmed.picture.cover, [&](int x, int y) {
     return out.distance_m.at(x, y) < Silhouettes::kNothing ? 1.f : 0.f;
   });
@@ -409,6 +412,90 @@ TEST(HandInFront, BadInputIsNamed) {
   const auto wide = ForegroundStage::create(cameras, {});
   ASSERT_FALSE(wide);
   EXPECT_EQ(wide.error().where, "depth");
+}
+
+// ------------------------------------------------------------------------------ its shadow
+
+constexpr double kSunRadius = .05;  // radians
+
+// Grey all around and a sun behind the hand, as the ball sees it.
+lighting::LightEstimate sun_behind_hand(const glm::dvec3& towards) {
+  constexpr int kWidth = 512, kHeight = 256;
+  Image<Rgb> map(kWidth, kHeight, {.3f, .3f, .3f});
+  for (int y = 0; y < kHeight; ++y)
+    for (int x = 0; x < kWidth; ++x)
+      if (glm::dot(latlong_direction(x + .5, y + .5, kWidth, kHeight), towards) >
+          std::cos(kSunRadius))
+        map.at(x, y) = {120, 115, 100};
+  return *lighting::estimate_map(map, {});
+}
+
+// The fraction of the sun that the hand leaves.
+double sun_left(const HandWorld& world, const glm::dvec3& at, const glm::dvec3& towards) {
+  constexpr int kSamples = 64;
+  const glm::dvec3 u = glm::normalize(glm::cross(towards, glm::dvec3(1, 0, 0))),
+                   v = glm::cross(towards, u);
+  int seen = 0;
+  for (int k = 0; k < kSamples; ++k) {
+    const double r = kSunRadius * std::sqrt((k + .5) / kSamples), turn = 2.399963 * k;
+    seen +=
+        !world.hand(at, glm::normalize(towards + r * (std::cos(turn) * u + std::sin(turn) * v)));
+  }
+  return double(seen) / kSamples;
+}
+
+TEST(HandInFront, ThrowsItsShadowOnTheBall) {
+  Chain chain;
+  NEED_CHAIN(chain);
+  constexpr double kRadius = .13;
+  const glm::dvec3 centre(0, kRadius, 0),
+      towards = glm::normalize(glm::dvec3(.02, .40, .27) - glm::dvec3(0, .17, .12));
+  const lighting::LightEstimate light = sun_behind_hand(towards);
+  ASSERT_EQ(light.lights.size(), 1u);
+  lighting::LightEstimate shade = light;
+  shade.lights.clear();
+  chain.pipeline->set_light(shade);
+  const Image<Rgb> ambient = composited(*chain.pipeline, chain.filmed.view);
+  chain.pipeline->set_light(light);
+  const Image<Rgb> lit = composited(*chain.pipeline, chain.filmed.view);
+  ASSERT_TRUE(chain.pipeline->add_foreground(chain.filmed.depth));
+  const Image<Rgb> ours = composited(*chain.pipeline, chain.filmed.view);
+  const HandWorld world = HandWorld::usual();
+  const Pose pose = HandWorld::view();
+  double naive_error = 0, our_error = 0, taken = 0;
+  int pixels = 0;
+  for (int y = 2; y < kView.height - 2; ++y)
+    for (int x = 2; x < kView.width - 2; ++x) {
+      const glm::dvec3 ray =
+          pose.rotation * glm::normalize(*calib::direction_from_pixel(kView, {x + .5, y + .5}));
+      const auto ball =
+          test::hit({centre, centre + glm::dvec3(0, 1e-9, 0), kRadius}, pose.translation, ray);
+      if (!ball || glm::dot(ball->normal, -ray) < .3) continue;  // the rim is a mixture
+      bool free = true;
+      for (int k = 0; k < 25; ++k)
+        free &= chain.filmed.picture.cover.at(x + k % 5 - 2, y + k / 5 - 2) == 0;
+      if (!free) continue;
+      const double left =
+          sun_left(world, pose.translation + (ball->distance - 1e-6) * ray, towards);
+      const Rgb truth =
+          ambient.at(x, y) + (lit.at(x, y) - ambient.at(x, y)) * static_cast<float>(left);
+      naive_error += double(apart(lit.at(x, y), truth));
+      our_error += double(apart(ours.at(x, y), truth));
+      taken += 1 - left;
+      ++pixels;
+    }
+  std::printf("%d pixels, %.0f %% of their sun taken: error %.4f without, %.4f with its shadow\n",
+              pixels, 100 * taken / pixels, naive_error / pixels, our_error / pixels);
+  EXPECT_GT(taken, .1 * pixels);
+  EXPECT_LT(our_error, .3 * naive_error);
+  // Once it is gone, so is its shadow.
+  capture::Frame later = chain.filmed.view;
+  later.time = TimestampNs{400'000'000};
+  const Image<Rgb> gone = composited(*chain.pipeline, later);
+  double left_over = 0;
+  for (std::size_t i = 0; i < gone.area(); ++i)
+    left_over = std::max(left_over, double(apart(gone.pixels()[i], lit.pixels()[i])));
+  EXPECT_LT(left_over, 1e-3);
 }
 
 // ------------------------------------------------------------------------------ runs

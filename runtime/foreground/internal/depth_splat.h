@@ -38,30 +38,33 @@ struct Silhouettes {
   void reset(int width, int height);
 };
 
-/// Scratch of the depth camera's size.
-struct DepthRows {
-  Image<float> depth_m;       // with holes filled
-  Image<float> front_m;       // of what is in front; else 0
-  compositor::Rect in_front;  // where anything is
-  std::vector<float> x_px, y_px, distance_m;
+/// What a depth camera sees that is in front of known planes.
+struct DepthFront {
+  Image<float> depth_m;   // along the camera's axis; 0: nothing
+  compositor::Rect area;  // where there is anything
+  Pose world_from_camera;
+  Image<float> scratch;
 };
 
-/// A depth camera's picture, and a view's.
-struct DepthPicture {
-  const Image<Rgb16>& codes;  // of unit_m each, along the camera's axis; 0: none
-  float unit_m;
-  const DepthRays& rays;
-  Pose world_from_camera;
-};
+/// codes: of unit_m each, along the camera's axis; 0: none. A hole gets the depth of what is
+/// farther of both sides.
+void find_front(const Image<Rgb16>& codes, float unit_m, const DepthRays& rays,
+                const Pose& world_from_camera, std::span<const prt::Plane> planes, DepthFront& out);
+
 struct SplatView {
   const calib::CameraModel& camera;
   const compositor::ViewLens* lens;  // null: a pinhole
   Pose world_from_camera;
 };
 
-/// Adds all that is in front of the planes. A hole gets the depth of what is farther of both sides.
-void splat_depth(const DepthPicture& depth, std::span<const prt::Plane> planes,
-                 const SplatView& view, DepthRows& scratch, Silhouettes& out);
+/// Of one row of depth.
+struct SplatRow {
+  std::vector<float> x_px, y_px, distance_m;
+};
+
+/// Adds what is in front.
+void splat_depth(const DepthFront& front, const DepthRays& rays, const SplatView& view,
+                 SplatRow& scratch, Silhouettes& out);
 
 /// Adds what a mask of the view's own picture covers, before all else. Of another size it is
 /// stretched over it.

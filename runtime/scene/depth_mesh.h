@@ -3,8 +3,12 @@
 #pragma once
 
 #include <filesystem>
+#include <functional>
+#include <glm/vec2.hpp>
+#include <optional>
 
 #include "core/image.h"
+#include "core/pose.h"
 #include "core/result.h"
 #include "prt/geometry/mesh.h"
 #include "prt/geometry/pinhole_view.h"
@@ -12,12 +16,19 @@
 #pragma GCC visibility push(default)
 namespace penumbra::runtime {
 
+/// Where a pixel of a depth picture looks: (x, y, -1); nothing where it has no depth.
+using DepthRay = std::function<std::optional<glm::dvec2>(const glm::dvec2& pixel)>;
+
 /// The surface behind a depth picture, in the world frame: one vertex for every few pixels, so that
-/// the longer side has at most `kDepthVertices`. Each lies at the nearest depth around it that is
+/// the longer side has at most `max_vertices`. Each lies at the nearest depth around it that is
 /// known. There is no triangle where neighbours lie further apart than 5 % of their distance, where
 /// a depth is not positive and finite, or where the surface is seen edge-on.
-/// in:     depth along the camera's axis, metres, of the view's size
-/// errors: kInvalid (size), kUndetermined (no surface)
+/// in:     depth along the camera's axis, metres
+/// errors: kUndetermined (no surface)
+Result<prt::Mesh> mesh_from_depth(const Image<float>& depth, const DepthRay& ray,
+                                  const Pose& world_from_camera, Rgb albedo, int max_vertices);
+/// The same of a pinhole, with kDepthVertices.
+/// errors: kInvalid (another size than the view's), kUndetermined
 Result<prt::Mesh> mesh_from_depth(const Image<float>& depth, const prt::PinholeView& view,
                                   Rgb albedo);
 inline constexpr int kDepthVertices = 320;
