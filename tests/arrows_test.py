@@ -21,7 +21,7 @@ capture/recording capture/device lighting/sh lighting/lights lighting/reflection
 prt/geometry prt/rays prt/transfer prt/bake prt/clip prt/reference
 shadows/silhouette shadows/field shadows/visibility
 compositor compositor/layers compositor/pixels compositor/composite
-runtime/scene runtime/surroundings runtime/direct runtime/shading
+runtime/scene runtime/surroundings runtime/direct runtime/foreground runtime/shading
 runtime/governor runtime/pipeline runtime/studio
 service/client service/openxr service/scene service/recording service/outputs service/headset
 service/poses service/http service

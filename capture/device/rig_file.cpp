@@ -15,7 +15,7 @@ constexpr std::string_view kDeviceKeys[] = {"device",       "format",      "fps"
                                             "delay_frames", "light_error", "white_balance_k"};
 
 // Of V4L2: distances of 16 bits.
-constexpr const char* kDepthFormat = "Z16 ";
+constexpr const char* kDepthFormat = "Z16";
 
 Result<std::vector<Exposure>> read_schedule(const TomlKeys& keys) {
   if (!keys.has("exposures_s")) return std::vector<Exposure>();

@@ -180,7 +180,7 @@ std::string fragment_head(bool cut, bool foreground) {
 
 }  // namespace
 
-Result<LayerPrograms::Programs> LayerPrograms::make(Kind kind) {
+Result<LayerPrograms::Programs> LayerPrograms::make(ProgramKind kind) {
   const bool cut = kind.way == Way::kCutLens;
   const std::string vertex = vertex_head(kind.way != Way::kPinhole, cut),
                     fragment = fragment_head(cut, kind.foreground);
@@ -195,11 +195,11 @@ Result<LayerPrograms::Programs> LayerPrograms::make(Kind kind) {
 
 Result<LayerPrograms> LayerPrograms::create() {
   LayerPrograms out;
-  PENUMBRA_TRY(out.prepare(Kind{}));
+  PENUMBRA_TRY(out.prepare(ProgramKind{}));
   return out;
 }
 
-Result<void> LayerPrograms::prepare(Kind kind) {
+Result<void> LayerPrograms::prepare(ProgramKind kind) {
   if (programs_.contains(kind)) return {};
   PENUMBRA_ASSIGN(made, make(kind));
   programs_.emplace(kind, std::move(made));
@@ -207,7 +207,7 @@ Result<void> LayerPrograms::prepare(Kind kind) {
 }
 
 // What may be drawn until the next prepare().
-std::vector<LayerPrograms::Kind> LayerPrograms::kinds() const {
+std::vector<LayerPrograms::ProgramKind> LayerPrograms::kinds() const {
   const bool foreground = foreground_.any();
   if (!through_lens_) return {{Way::kPinhole, foreground}};
   return {{Way::kLens, foreground}, {Way::kCutLens, foreground}};
@@ -217,14 +217,14 @@ Result<void> LayerPrograms::prepare(const std::shared_ptr<const ViewLens>& lens,
                                     const std::shared_ptr<const Foreground>& foreground) {
   through_lens_ = lens != nullptr;
   foreground_.set(foreground);
-  for (const Kind kind : kinds()) PENUMBRA_TRY(prepare(kind));
+  for (const ProgramKind kind : kinds()) PENUMBRA_TRY(prepare(kind));
   if (lens && std::ranges::find(tables_, lens, &LensTable::lens) == tables_.end())
     tables_.push_back({lens, radius_texture(*lens)});
   return {};
 }
 
 Result<void> LayerPrograms::prepare_glossy(GlossyFeatures features) {
-  for (const Kind kind : kinds()) {
+  for (const ProgramKind kind : kinds()) {
     if (glossy_.contains({kind, features})) continue;
     const bool cut = kind.way == Way::kCutLens;
     const std::string defines = glossy_defines(features, cut),
@@ -250,7 +250,8 @@ void LayerPrograms::set_up(GLuint program, const ViewProjection& from_points) co
   set_lens(program, *lens, table->radius.get());
 }
 
-LayerPrograms::Kind LayerPrograms::kind_of(const ViewProjection& from_points, bool cut) const {
+LayerPrograms::ProgramKind LayerPrograms::kind_of(const ViewProjection& from_points,
+                                                  bool cut) const {
   return {!from_points.lens() ? Way::kPinhole
           : cut               ? Way::kCutLens
                               : Way::kLens,

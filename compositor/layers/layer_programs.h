@@ -60,19 +60,19 @@ class LayerPrograms {
     GlTexture radius{};
   };
   enum class Way : std::uint8_t { kPinhole, kLens, kCutLens };
-  struct Kind {
+  struct ProgramKind {
     Way way = Way::kPinhole;
     bool foreground = false;
-    friend auto operator<=>(const Kind&, const Kind&) = default;
+    friend auto operator<=>(const ProgramKind&, const ProgramKind&) = default;
   };
-  static Result<Programs> make(Kind kind);
-  Result<void> prepare(Kind kind);
-  std::vector<Kind> kinds() const;
-  Kind kind_of(const ViewProjection& from_points, bool cut) const;
+  static Result<Programs> make(ProgramKind kind);
+  Result<void> prepare(ProgramKind kind);
+  std::vector<ProgramKind> kinds() const;
+  ProgramKind kind_of(const ViewProjection& from_points, bool cut) const;
   void set_up(GLuint program, const ViewProjection& from_points) const;
 
-  std::map<Kind, Programs> programs_;
-  std::map<std::pair<Kind, GlossyFeatures>, GlProgram> glossy_;
+  std::map<ProgramKind, Programs> programs_;
+  std::map<std::pair<ProgramKind, GlossyFeatures>, GlProgram> glossy_;
   std::vector<LensTable> tables_;  // one a camera
   bool through_lens_ = false;
   ForegroundTextures foreground_;

@@ -16,7 +16,7 @@
 namespace penumbra::runtime {
 
 struct ForegroundStage::Impl {
-  struct Source {
+  struct ForegroundSource {
     int camera;
     capture::CameraInfo info;
     DepthRays rays;  // of a depth camera
@@ -29,12 +29,12 @@ struct ForegroundStage::Impl {
     }
   };
 
-  Result<void> check(const Source& source, const FramePixels& pixels) const;
-  void lay(const Source& source, const SplatView& view);
+  Result<void> check(const ForegroundSource& source, const FramePixels& pixels) const;
+  void lay(const ForegroundSource& source, const SplatView& view);
   std::shared_ptr<compositor::Foreground> unused();
   bool is_known(const glm::dvec3& eye, const glm::dvec3& point) const;
 
-  std::vector<Source> sources;
+  std::vector<ForegroundSource> sources;
   std::vector<prt::Plane> planes;
   std::optional<prt::RayScene> mesh;  // of the scene
   std::uint64_t depth_frames = 0;
@@ -60,7 +60,7 @@ Result<ForegroundStage> ForegroundStage::create(const std::vector<capture::Camer
   for (std::size_t i = 0; i < cameras.size(); ++i) {
     const capture::CameraInfo& c = cameras[i];
     if (capture::sees_light(c.role)) continue;
-    Impl::Source source{static_cast<int>(i), c, {}};
+    Impl::ForegroundSource source{static_cast<int>(i), c, {}};
     if (source.is_depth()) {
       auto rays = DepthRays::create(c.projection);
       if (!rays) return fail(rays.error().code, c.name, rays.error().detail);
@@ -75,7 +75,8 @@ Result<ForegroundStage> ForegroundStage::create(const std::vector<capture::Camer
   return ForegroundStage(std::move(impl));
 }
 
-Result<void> ForegroundStage::Impl::check(const Source& source, const FramePixels& pixels) const {
+Result<void> ForegroundStage::Impl::check(const ForegroundSource& source,
+                                          const FramePixels& pixels) const {
   const calib::CameraModel& camera = source.info.projection;
   if (source.is_depth() && !std::holds_alternative<Image<Rgb16>>(pixels))
     return fail(ErrorCode::kInvalid, source.info.name, "has depth that is not of 16 bits");
@@ -89,7 +90,8 @@ Result<void> ForegroundStage::Impl::check(const Source& source, const FramePixel
 }
 
 Result<void> ForegroundStage::add(const capture::Frame& frame) {
-  const auto source = std::ranges::find(impl_->sources, frame.camera, &Impl::Source::camera);
+  const auto source =
+      std::ranges::find(impl_->sources, frame.camera, &Impl::ForegroundSource::camera);
   if (source == impl_->sources.end() || !frame.pixels)
     return fail(ErrorCode::kInvalid, "frame", "belongs to no depth camera and no mask");
   PENUMBRA_TRY(impl_->check(*source, *frame.pixels));
@@ -102,8 +104,9 @@ Result<void> ForegroundStage::add(const capture::Frame& frame) {
 }
 
 bool ForegroundStage::tells_of(TimestampNs time) const {
-  return std::ranges::any_of(
-      impl_->sources, [&](const Impl::Source& s) { return s.is_depth() && s.tells_of(time); });
+  return std::ranges::any_of(impl_->sources, [&](const Impl::ForegroundSource& s) {
+    return s.is_depth() && s.tells_of(time);
+  });
 }
 
 std::uint64_t ForegroundStage::depth_frames() const {
@@ -123,7 +126,7 @@ prt::Mesh ForegroundStage::surface_near(std::span<const shadows::BoundingSphere>
                                         TimestampNs time) const {
   constexpr double kReach_m = 1;    // what stands farther off is where lights may stand, too
   constexpr int kMaxVertices = 96;  // along the longer side
-  const auto source = std::ranges::find_if(impl_->sources, [&](const Impl::Source& s) {
+  const auto source = std::ranges::find_if(impl_->sources, [&](const Impl::ForegroundSource& s) {
     return s.is_depth() && s.tells_of(time) && !s.front.area.empty();
   });
   if (source == impl_->sources.end()) return {};
@@ -164,7 +167,7 @@ std::shared_ptr<compositor::Foreground> ForegroundStage::Impl::unused() {
   return handed_out.emplace_back(std::make_shared<compositor::Foreground>());
 }
 
-void ForegroundStage::Impl::lay(const Source& source, const SplatView& view) {
+void ForegroundStage::Impl::lay(const ForegroundSource& source, const SplatView& view) {
   const FramePixels& pixels = *source.newest->pixels;
   if (source.is_depth())
     splat_depth(source.front, source.rays, view, row, silhouettes);
@@ -177,10 +180,10 @@ void ForegroundStage::Impl::lay(const Source& source, const SplatView& view) {
 std::shared_ptr<const compositor::Foreground> ForegroundStage::in_front_of(
     const capture::Frame& view, const calib::CameraModel& camera, const compositor::ViewLens* lens,
     const ResponseTable* curve) {
-  const auto tells = [&](const Impl::Source& s) { return s.tells_of(view.time); };
+  const auto tells = [&](const Impl::ForegroundSource& s) { return s.tells_of(view.time); };
   if (std::ranges::none_of(impl_->sources, tells)) return nullptr;
   impl_->silhouettes.reset(camera.width, camera.height);
-  for (const Impl::Source& s : impl_->sources)
+  for (const Impl::ForegroundSource& s : impl_->sources)
     if (tells(s)) impl_->lay(s, {camera, lens, view.world_from_camera});
   if (impl_->silhouettes.area.empty()) return nullptr;
   auto out = impl_->unused();

@@ -1,5 +1,5 @@
-// Hands, people, a cup: real things before which nothing virtual is to be seen, as depth cameras and
-// masks tell of them.
+// Hands, people, a cup: real things before which nothing virtual is to be seen, as depth cameras
+// and masks tell of them.
 // threads: thread-bound
 #pragma once
 
@@ -39,7 +39,7 @@ class ForegroundStage {
   /// Whether there is a depth camera or a mask.
   bool any() const;
   /// The newest frame of each counts.
-  /// errors: kInvalid (another camera, another size, depth that is not of 16 bits, a mask of floats)
+  /// errors: kInvalid (another camera or size, depth that is not of 16 bits, a mask of floats)
   Result<void> add(const capture::Frame& frame);
 
   /// What stands in front in a view frame; null: nothing.

@@ -26,8 +26,8 @@ capture::Frame still(int camera, FramePixels pixels, const Pose& pose) {
   return out;
 }
 
-// A hand before a view of 640x480, on one thread; `thickness` times as thick as a hand it is most of
-// the picture. Peer: copying the view's frame once.
+// A hand before a view of 640x480, on one thread; three times as thick it is half of the picture.
+// Peer: copying the view's frame once.
 void foreground(benchmark::State& state) {
   test::HandWorld world = test::HandWorld::usual();
   for (test::Rod& rod : world.rods) rod.radius *= static_cast<double>(state.range(1));

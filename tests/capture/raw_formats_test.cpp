@@ -75,6 +75,18 @@ TEST(RawFormats, TwelveBitsFillSixteen) {
   }
 }
 
+TEST(RawFormats, DepthStaysAsItIs) {
+  auto converter =
+      RawConverter::make({V4L2_PIX_FMT_Z16, kRawWidth, kRawHeight, 2 * kRawWidth, false, false});
+  ASSERT_TRUE(converter);
+  std::vector<std::uint16_t> raw(kRawWidth * kRawHeight);
+  for (std::size_t i = 0; i < raw.size(); ++i) raw[i] = static_cast<std::uint16_t>(127 * i);
+  const auto pixels = converter->convert(std::as_bytes(std::span(raw)));
+  ASSERT_TRUE(pixels);
+  for (std::size_t i = 0; i < raw.size(); ++i)
+    ASSERT_EQ(std::get<Image<Rgb16>>(*pixels).pixels()[i].r, raw[i]);
+}
+
 TEST(RawFormats, EveryShorterFrameIsRefused) {
   for (const std::uint32_t format :
        {V4L2_PIX_FMT_YUYV, V4L2_PIX_FMT_NV12, V4L2_PIX_FMT_YUV420, V4L2_PIX_FMT_RGB24,

@@ -217,6 +217,30 @@ delay_frames = 2
   EXPECT_EQ(c.delay_frames, 2);
 }
 
+TEST(RigFile, ADepthCameraKeepsItsOwnExposure) {
+  const test::TempFolder folder;
+  const std::string camera =
+      "[[camera]]\nname = \"depth\"\nrole = \"depth\"\nwidth = 64\nheight = 48\n"
+      "projection = \"pinhole\"\nfocal_px = [60, 60]\ndevice = \"/dev/video0\"\n";
+  write(folder.path() / "rig.toml", camera + "depth_unit_m = 0.0001\n");
+  const auto cameras = read_rig_cameras(folder.path() / "rig.toml");
+  ASSERT_TRUE(cameras) << cameras.error().where << cameras.error().detail;
+  EXPECT_EQ(cameras->front().info.role, Role::kDepth);
+  EXPECT_EQ(cameras->front().info.depth_unit_m, 1e-4);
+  EXPECT_EQ(cameras->front().settings.format, "Z16");
+  EXPECT_FALSE(cameras->front().settings.stop_automatics);
+  for (const std::string key : {"exposures_s", "gains", "light_error", "white_balance_k",
+                                "unit_gain", "response", "black_level"}) {
+    write(folder.path() / "rig.toml", camera + key + " = 1\n");
+    const auto refused = read_rig_cameras(folder.path() / "rig.toml");
+    ASSERT_FALSE(refused) << key;
+    EXPECT_NE((refused.error().where + refused.error().detail)
+                  .find(key + ": means nothing of a camera with role = \"depth\""),
+              std::string::npos)
+        << refused.error().where << " " << refused.error().detail;
+  }
+}
+
 TEST(RigFile, ExposuresMayBeLeftToTheLight) {
   const test::TempFolder folder;
   const std::string camera =

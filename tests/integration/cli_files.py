@@ -157,6 +157,17 @@ frames = "view.csv"
 """
 
 
+def add_depth(folder, depth_mm):
+    """A depth camera beside the view of write_capture(); depth_mm(x, y) of 32 x 24 pixels."""
+    (folder / "depth").mkdir()
+    pose = CAPTURE.rstrip().splitlines()[-2]
+    with (folder / "capture.toml").open("a", encoding="utf-8") as out:
+        out.write('[[camera]]\nname = "depth"\nrole = "depth"\nwidth = 32\nheight = 24\nprojection = "pinhole"\n'
+                  f'focal_px = [30, 30]\n{pose}\nframes = "depth.csv"\n')
+    write_png(folder / "depth" / "0.png", 32, 24, lambda x, y: 3 * (depth_mm(x, y),), bits=16)
+    (folder / "depth.csv").write_text("file,time_s,exposure_s,gain\ndepth/0.png,0.04,0.01,1\n")
+
+
 def write_capture(folder, codes=(60, 160), exposures=("0.01", "0.04")):
     """Two environment exposures of a grey room and three view frames."""
     for name in ("environment", "view"):

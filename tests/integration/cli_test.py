@@ -61,6 +61,34 @@ class DemoAndComposite(CliTest):
         self.assertTrue(all(40 < c < 80 for c in light), f"the studio's mean luminance is 60: {light}")
         self.assertNotEqual(files.read_png(demo / "still.png"), files.read_png(demo / "camera.png"), "nothing drawn")
 
+    def test_what_a_depth_camera_sees_in_front_hides_objects(self):
+        files.write_scene(self.root)
+        pictures = {}
+        for name in ("plain", "with_depth"):
+            capture, out = self.root / f"{name}_capture", self.root / name
+            files.write_capture(capture)
+            if name == "with_depth":
+                files.add_depth(capture, lambda x, y: 500 if x >= 16 else 0)
+                seen = self.run_json("inspect", capture)["cameras"]
+                self.assertEqual([(c["name"], c["role"]) for c in seen][2], ("depth", "depth"))
+            self.run_json("composite", "--capture", capture, "--scene", self.root / "scene.toml", "--coarse",
+                          "--out", out)
+            pictures[name] = files.read_png(out / "frame_000000.png")
+        width, height, camera = files.read_png(self.root / "with_depth_capture" / "view" / "0.png")
+        _, _, plain = pictures["plain"]
+        _, _, ours = pictures["with_depth"]
+
+        def part(picture, x0, x1):
+            return b"".join(picture[3 * (y * width + x0):3 * (y * width + x1)] for y in range(height))
+        self.assertNotEqual(part(plain, 40, 64), part(camera, 40, 64), "nothing is drawn there")
+        self.assertEqual(part(ours, 40, 64), part(camera, 40, 64), "a board stands in front")
+        self.assertEqual(part(ours, 0, 24), part(plain, 0, 24), "nothing stands in front")
+        (self.root / "with_depth_capture" / "depth" / "0.png").write_bytes(
+            (self.root / "with_depth_capture" / "view" / "0.png").read_bytes())
+        self.expect_refusal(["depth/0.png", "64x48 pixels instead of 32x24"], "composite", "--capture",
+                            self.root / "with_depth_capture", "--scene", self.root / "scene.toml", "--coarse",
+                            "--out", self.root / "refused")
+
     def test_what_a_fisheye_does_not_see_is_said_by_every_step(self):
         capture = self.root / "fisheye"
         files.write_capture(capture)

@@ -35,7 +35,7 @@ calib::CameraModel pinhole(int width, int height, double focal_px) {
           {width / 2., height / 2.},       {}};
 }
 
-const calib::CameraModel kView = pinhole(640, 480, 560), kDepthCamera = pinhole(320, 240, 270);
+const calib::CameraModel kHandView = pinhole(640, 480, 560), kDepthCamera = pinhole(320, 240, 270);
 
 Pose depth_pose() {
   Pose out = HandWorld::view();
@@ -102,13 +102,13 @@ EdgeError edge_error(const Image<float>& truth, const Cover& cover) {
 
 struct Filmed {
   std::vector<capture::CameraInfo> cameras{
-      camera_of("view", capture::Role::kView, kView, HandWorld::view()),
+      camera_of("view", capture::Role::kView, kHandView, HandWorld::view()),
       camera_of("depth", capture::Role::kDepth, kDepthCamera, depth_pose())};
   HandPicture picture;
   capture::Frame view, depth;
 
   explicit Filmed(const HandWorld& world, std::uint32_t seed = 1, const DepthErrors& errors = {})
-      : picture(film(world, kView, HandWorld::view())),
+      : picture(film(world, kHandView, HandWorld::view())),
         view(frame_of(0, with_noise(picture.signal, .004f, seed), HandWorld::view())),
         depth(frame_of(1, film_depth(world, kDepthCamera, depth_pose(), errors, seed),
                        depth_pose())) {}
@@ -126,11 +126,11 @@ EdgeError depth_alone(const Filmed& filmed) {
   Silhouettes out;
   DepthFront front;
   SplatRow scratch;
-  out.reset(kView.width, kView.height);
+  out.reset(kHandView.width, kHandView.height);
   const auto rays = DepthRays::create(kDepthCamera);
   find_front(std::get<Image<Rgb16>>(*filmed.depth.pixels), .001f, *rays, depth_pose(), {&kTable, 1},
              front);
-  splat_depth(front, *rays, {kView, nullptr, HandWorld::view()}, scratch, out);
+  splat_depth(front, *rays, {kHandView, nullptr, HandWorld::view()}, scratch, out);
   return edge_error(filmed.picture.cover, [&](int x, int y) {
     return out.distance_m.at(x, y) < Silhouettes::kNothing ? 1.f : 0.f;
   });
@@ -159,7 +159,7 @@ TEST(ForegroundEdge, IsWithinAPixelAndAHalfOfTheTruth) {
       auto stage = ForegroundStage::create(filmed.cameras, {&kTable, 1});
       ASSERT_TRUE(stage) << stage.error().detail;
       ASSERT_TRUE(stage->add(filmed.depth));
-      const auto found = stage->in_front_of(filmed.view, kView, nullptr, nullptr);
+      const auto found = stage->in_front_of(filmed.view, kHandView, nullptr, nullptr);
       ASSERT_NE(found, nullptr);
       const EdgeError naive = depth_alone(filmed);
       const EdgeError ours =
@@ -211,8 +211,8 @@ float apart(const Rgb& a, const Rgb& b) {
   return std::max({std::abs(a.r - b.r), std::abs(a.g - b.g), std::abs(a.b - b.b)});
 }
 
-// The hand before the ball: what its picture would be if the ball stood there. `behind`: the picture
-// without the hand, with the ball.
+// The hand before the ball: what its picture would be if the ball stood there. `behind`: the
+// picture without the hand, with the ball.
 Image<Rgb> hand_before(const Filmed& filmed, const Image<Rgb>& empty, const Image<Rgb>& behind) {
   Image<Rgb> out = filmed.picture.signal;
   for (std::size_t i = 0; i < out.area(); ++i)
@@ -229,7 +229,7 @@ struct Chain {
   explicit Chain(const HandWorld& world = HandWorld::usual()) : filmed(world) {
     HandWorld table = world;
     table.rods.clear();
-    empty = film(table, kView, HandWorld::view()).signal;
+    empty = film(table, kHandView, HandWorld::view()).signal;
     auto made = pipeline_of(filmed.cameras);
     if (!made) return;
     pipeline.emplace(std::move(*made));
@@ -385,11 +385,11 @@ TEST(HandInFront, NoisyDepthOfTheTableHidesNoShadow) {
   auto stage = ForegroundStage::create(filmed.cameras, {&kTable, 1});
   ASSERT_TRUE(stage);
   ASSERT_TRUE(stage->add(filmed.depth));
-  const auto found = stage->in_front_of(filmed.view, kView, nullptr, nullptr);
+  const auto found = stage->in_front_of(filmed.view, kHandView, nullptr, nullptr);
   int covered = 0;
-  for (int y = 0; found && y < kView.height; ++y)
-    for (int x = 0; x < kView.width; ++x) covered += cover_in(*found, x, y) > 0;
-  EXPECT_LT(covered, .0005 * kView.width * kView.height);
+  for (int y = 0; found && y < kHandView.height; ++y)
+    for (int x = 0; x < kHandView.width; ++x) covered += cover_in(*found, x, y) > 0;
+  EXPECT_LT(covered, .0005 * kHandView.width * kHandView.height);
 }
 
 TEST(HandInFront, BadInputIsNamed) {
@@ -464,10 +464,10 @@ TEST(HandInFront, ThrowsItsShadowOnTheBall) {
   const Pose pose = HandWorld::view();
   double naive_error = 0, our_error = 0, taken = 0;
   int pixels = 0;
-  for (int y = 2; y < kView.height - 2; ++y)
-    for (int x = 2; x < kView.width - 2; ++x) {
+  for (int y = 2; y < kHandView.height - 2; ++y)
+    for (int x = 2; x < kHandView.width - 2; ++x) {
       const glm::dvec3 ray =
-          pose.rotation * glm::normalize(*calib::direction_from_pixel(kView, {x + .5, y + .5}));
+          pose.rotation * glm::normalize(*calib::direction_from_pixel(kHandView, {x + .5, y + .5}));
       const auto ball =
           test::hit({centre, centre + glm::dvec3(0, 1e-9, 0), kRadius}, pose.translation, ray);
       if (!ball || glm::dot(ball->normal, -ray) < .3) continue;  // the rim is a mixture

@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "capture/capture.h"
+#include "compositor/composite/compositor.h"
 #include "runtime/pipeline/pipeline.h"
 #include "runtime/scene/scene.h"
 #include "tests/support/gl.h"

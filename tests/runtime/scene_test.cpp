@@ -264,7 +264,7 @@ TEST_F(SceneFile, DamagedAndAbsentFilesAreErrors) {
 
 // ------------------------------------------------------------------------------------- placing
 
-BakeSettings quick() {
+BakeSettings quick_bake() {
   return {2, 0, 64, 64, false};
 }
 const auto kNoProgress = [](const std::string&) { return std::function<void(double)>(); };
@@ -280,7 +280,7 @@ TEST_F(SceneFile, RealMeshesStandWhereTheyArePlaced) {
   box.position = {1, .25, -2};
   box.place_on_floor = true;
   box.fit_size_m = .8;
-  const auto scene = prepare({{}, {box}}, quick(), kNoProgress);
+  const auto scene = prepare({{}, {box}}, quick_bake(), kNoProgress);
   ASSERT_TRUE(scene) << scene.error().detail;
   const prt::Bounds b = prt::bounds_of(scene->real_mesh);
   EXPECT_NEAR(b.low.y, .25f, 1e-6f);
@@ -288,7 +288,7 @@ TEST_F(SceneFile, RealMeshesStandWhereTheyArePlaced) {
   EXPECT_NEAR(b.centre().x, 1, 1e-6f);
   EXPECT_NEAR(b.centre().z, -2, 1e-6f);
   box.mesh = "";
-  EXPECT_EQ(prepare({{}, {box}}, quick(), kNoProgress).error().code, ErrorCode::kInvalid);
+  EXPECT_EQ(prepare({{}, {box}}, quick_bake(), kNoProgress).error().code, ErrorCode::kInvalid);
 }
 
 // Every mesh whose own z points up needs a rotation: it must stand on the floor, not in it.
@@ -337,7 +337,7 @@ TEST_F(SceneFile, FlatOnAndHalfInTheFloorStandOnItAndBelowItDoesNot) {
     o.name = "thing";
     o.asset = (folder_.path() / "thing.obj").string();
     o.position = {0, height, 0};
-    const auto scene = prepare({{o}, {floor}}, quick(), kNoProgress);
+    const auto scene = prepare({{o}, {floor}}, quick_bake(), kNoProgress);
     ASSERT_TRUE(scene) << scene.error().detail;
     EXPECT_EQ(scene->objects[0].baked.receiver.has_value(), stands) << height;
   }
@@ -352,7 +352,7 @@ TEST_F(SceneFile, StandingObjectRestsOnItsPlaneAtItsSize) {
     o.position = {.3, height, -.2};
     RealGeometry plane;
     plane.plane = RealPlane{{0, height, 0}, {0, 1, 0}};
-    const auto scene = prepare({{o}, {plane}}, quick(), kNoProgress);
+    const auto scene = prepare({{o}, {plane}}, quick_bake(), kNoProgress);
     ASSERT_TRUE(scene) << scene.error().detail;
     const prt::Bounds b = world_bounds(*scene);
     const glm::vec3 size = b.high - b.low;
@@ -382,7 +382,7 @@ TEST_F(SceneFile, BakedFileStandsWhereItsAssetWould) {
   o.position = {1, 0, 2};
   RealGeometry floor;
   floor.plane = RealPlane{};
-  const auto scene = prepare({{o}, {floor}}, quick(), kNoProgress);
+  const auto scene = prepare({{o}, {floor}}, quick_bake(), kNoProgress);
   ASSERT_TRUE(scene) << scene.error().detail;
   const prt::Bounds b = world_bounds(*scene);
   EXPECT_NEAR(b.low.y, 0, 1e-4) << "stands on the floor";
@@ -413,7 +413,7 @@ TEST_F(SceneFile, BakedFileKeepsItsScaleHoweverItIsTurned) {
         glm::angleAxis(1.1, glm::dvec3(1, 0, 0))}) {
     o.rotation = turn;
     const auto scene =
-        prepare({{o}, {}}, quick(), kNoProgress);  // no plane: any attitude is allowed
+        prepare({{o}, {}}, quick_bake(), kNoProgress);  // no plane: any attitude is allowed
     ASSERT_TRUE(scene) << scene.error().detail;
     const prt::Bounds b = prt::bounds_of(scene->objects[0].baked.mesh);
     EXPECT_NEAR(b.high.y - b.low.y, .8, 1e-5) << turn.w << ' ' << turn.x;
@@ -435,7 +435,7 @@ class OneBake : public testing::Test {
       ::setenv("XDG_CACHE_HOME", before_.c_str(), 1);
   }
   PreparedScene prepared(const Scene& scene) {
-    BakeSettings settings = quick();
+    BakeSettings settings = quick_bake();
     settings.cache = BakeCache::kUsed;
     settings.bounces = 1;
     auto out =

@@ -1,4 +1,4 @@
-// A hand before a textured floor, as a view camera and a depth camera see it, and the truth of both.
+// A hand over a textured table, as a view camera and a depth camera see it, and the truth.
 #pragma once
 
 #include <algorithm>
