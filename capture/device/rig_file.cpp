@@ -60,6 +60,8 @@ Result<RigCamera> read_rig_camera(const TomlKeys& keys) {
   PENUMBRA_ASSIGN(info, read_camera_info(keys));
   camera.info = std::move(info);
   const bool light = sees_light(camera.info.role);
+  for (const char* key : {"exposures_s", "gains", "light_error", "white_balance_k", "unit_gain"})
+    if (!light && keys.has(key)) return keys.invalid(key, no_light(camera.info.role));
   if (light) {
     if (!keys.has("response")) return keys.invalid("response", "is missing");
     PENUMBRA_ASSIGN(response, read_response(keys, {}));
@@ -94,8 +96,6 @@ Result<RigCamera> read_rig_camera(const TomlKeys& keys) {
     PENUMBRA_ASSIGN(delay, keys.integer("delay_frames", 1, 10));
     camera.delay_frames = delay;
   }
-  for (const char* key : {"exposures_s", "gains", "light_error", "white_balance_k", "unit_gain"})
-    if (!light && keys.has(key)) return keys.invalid(key, no_light(camera.info.role));
   PENUMBRA_TRY(read_exposures(keys, camera));
   return camera;
 }
