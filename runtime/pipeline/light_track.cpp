@@ -82,8 +82,8 @@ LightTrackSource::LightTrackSource(capture::FrameSource& source, std::unique_ptr
                                    int halvings)
     : source_(source), times_(std::move(times)), stage_(std::move(stage)), halvings_(halvings) {
   for (const capture::CameraInfo& c : source.cameras()) {
-    const bool kept = c.role != capture::Role::kEnvironment ||
-                      (keep == KeptLight::kBoth && !c.gives_maps);
+    const bool light = c.role == capture::Role::kEnvironment;
+    const bool kept = !light || (keep == KeptLight::kBoth && !c.gives_maps);
     kept_.push_back(kept ? std::optional(static_cast<int>(cameras_.size())) : std::nullopt);
     if (kept) cameras_.push_back(c);
   }
