@@ -21,7 +21,9 @@ constexpr double kLeast_fps = 24;
 const capture::CameraMode* best_mode(const capture::CameraListing& camera) {
   const capture::CameraMode* best = nullptr;
   for (const capture::CameraMode& m : camera.modes) {
-    if (!m.readable || m.width < kSmallestWidth || m.width > kLargestWidth) continue;
+    if (!m.readable || m.format == capture::kDepthFormat || m.width < kSmallestWidth ||
+        m.width > kLargestWidth)
+      continue;
     if (m.max_fps > 0 && m.max_fps < kLeast_fps) continue;
     if (!best || m.width * m.height > best->width * best->height) best = &m;
   }

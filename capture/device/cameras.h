@@ -16,6 +16,9 @@ namespace penumbra::capture {
 
 // ------------------------------------------------------------------------------ what is there
 
+/// Distances of 16 bits: a camera gives them when it is asked for them.
+inline constexpr const char* kDepthFormat = "Z16";
+
 struct CameraMode {
   std::string format;  // four characters as the driver spells them: YUYV, NV12, MJPG, RG12, ...
   int width = 0, height = 0;

@@ -14,9 +14,6 @@ constexpr std::string_view kDeviceKeys[] = {"device",       "format",      "fps"
                                             "exposures_s",  "gains",       "unit_gain",
                                             "delay_frames", "light_error", "white_balance_k"};
 
-// Of V4L2: distances of 16 bits.
-constexpr const char* kDepthFormat = "Z16";
-
 Result<std::vector<Exposure>> read_schedule(const TomlKeys& keys) {
   if (!keys.has("exposures_s")) return std::vector<Exposure>();
   PENUMBRA_ASSIGN(times, keys.numbers("exposures_s"));

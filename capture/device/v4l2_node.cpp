@@ -197,7 +197,7 @@ void list_v4l2(CameraList& list) {
 Result<CameraMode> choose_mode(const std::vector<CameraMode>& modes, const CameraSettings& s) {
   const auto serves = [&](const CameraMode& m) {
     return m.readable && m.width == s.width && m.height == s.height &&
-           (s.format.empty() || m.format == s.format);
+           (s.format.empty() ? m.format != kDepthFormat : m.format == s.format);
   };
   // Larger is better, from the first to the last.
   const auto merit = [&](const CameraMode& m) {

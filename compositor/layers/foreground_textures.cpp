@@ -34,8 +34,10 @@ void ForegroundTextures::make_room(int width, int height) {
   constexpr int kStep = 64;  // a thing that moves does not ask for another size each frame
   const auto room = [](int pixels) { return (pixels + kStep - 1) / kStep * kStep; };
   if (textures_ && textures_->width >= width && textures_->height >= height) return;
+  const int wide = textures_ ? std::max(textures_->width, width) : width,
+            high = textures_ ? std::max(textures_->height, height) : height;
   Textures& t = textures_.emplace();
-  t.width = room(width), t.height = room(height);
+  t.width = room(wide), t.height = room(high);
   for (const auto& [texture, format] :
        {std::pair(t.cover.get(), GL_RGBA32F), {t.distance.get(), GL_R32F}}) {
     glBindTexture(GL_TEXTURE_2D, texture);

@@ -128,7 +128,7 @@ in vec3 loss;
 out vec4 colour;
 void main() {
   if (!is_shown()) discard;
-  colour = vec4(loss, 1) * seen_past_foreground();
+  colour = vec4(loss * seen_past_foreground(), 1);
 }
 )";
 

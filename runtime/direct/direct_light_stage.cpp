@@ -171,12 +171,13 @@ Result<void> DirectLightStage::set_passing(prt::Mesh mesh) {
   note_place();
   keep_passing_out();
   if (passing_) passing_->clear();
-  passing_mesh_ = std::move(mesh);
-  if (!any_passing()) return {};
+  passing_mesh_ = {};
+  if (mesh.triangles.empty()) return {};
   if (!passing_) {
     PENUMBRA_ASSIGN(world, prt::RayWorld::create());
     passing_.emplace(std::move(world));
   }
+  passing_mesh_ = std::move(mesh);
   if (const auto added = passing_->add(passing_mesh_); !added) {
     passing_mesh_ = {};
     return fail(added.error().code, "what passes by", added.error().detail);

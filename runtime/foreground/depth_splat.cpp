@@ -50,12 +50,16 @@ void fill_holes(std::span<float> row) {
   }
 }
 
+// As 0: what cameras give where they know nothing.
+constexpr std::uint16_t kNoDepth = 65535;
+
 void load_depth(const Image<Rgb16>& codes, float unit_m, Image<float>& out) {
   if (!out.same_size(codes)) out.reset(codes.width(), codes.height());
   for (int y = 0; y < out.height(); ++y) {
     const auto from = codes.row(y);
     const auto to = out.row(y);
-    for (std::size_t x = 0; x < from.size(); ++x) to[x] = unit_m * static_cast<float>(from[x].r);
+    for (std::size_t x = 0; x < from.size(); ++x)
+      to[x] = from[x].r < kNoDepth ? unit_m * static_cast<float>(from[x].r) : 0;
     fill_holes(to);
   }
 }
@@ -163,6 +167,9 @@ void close_cracks(Silhouettes& out) {
 
 Result<DepthRays> DepthRays::create(const calib::CameraModel& camera) {
   const double min_cosine = std::cos(85 * kPi / 180);
+  if (!(camera.focal_px.x >= 1 && camera.focal_px.y >= 1))
+    return fail(ErrorCode::kInvalid, "projection",
+                "has no focal length of a pixel or more, which a depth camera needs");
   DepthRays out{Image<float>(camera.width, camera.height, kNone),
                 Image<float>(camera.width, camera.height, kNone),
                 static_cast<float>(camera.focal_px.x)};
@@ -198,21 +205,24 @@ void find_front(const Image<Rgb16>& codes, float unit_m, const DepthRays& rays,
 void splat_depth(const DepthFront& front, const DepthRays& rays, const SplatView& view,
                  SplatRow& scratch, Silhouettes& out) {
   constexpr float kOverlap = 1.15f, kBlur = 1.5f;  // of a depth pixel
-  constexpr float kMaxSide_px = 16;  // of what is close up; what it leaves is closed below
+  constexpr float kMaxSide_px = 20;                // of a coarse camera, or of what is close up
   const Pose view_from_depth = view.world_from_camera.inverse() * front.world_from_camera;
   const float scale = static_cast<float>(view.camera.focal_px.x) / rays.focal_px;
+  float largest = 1;
   for (int y = front.area.y0; y < front.area.y1; ++y) {
     project(view, view_from_depth, front, rays, y, scratch);
     const auto row = front.depth_m.row(y).subspan(static_cast<std::size_t>(front.area.x0));
     for (std::size_t i = 0; i < scratch.distance_m.size(); ++i) {
       const float w = scratch.distance_m[i];
       if (!(w > 0)) continue;
+      if (w > view.max_distance_m) continue;
       const float side = std::min(scale * row[i] / w, kMaxSide_px);
+      largest = std::max(largest, side);
       cover_square(scratch.x_px[i], scratch.y_px[i], w, .5f * kOverlap * side, out);
     }
   }
   close_cracks(out);
-  out.blur_px = std::max(out.blur_px, kBlur * std::max(scale, 1.f));
+  out.blur_px = std::max(out.blur_px, kBlur * largest);
 }
 
 namespace {
@@ -251,7 +261,9 @@ void lay_mask(const Image<Pixel>& mask, Silhouettes& out) {
       out.area = compositor::united(out.area, {x, y, x + 1, y + 1});
     }
   }
-  out.blur_px = std::max(out.blur_px, static_cast<float>(1.5 / std::min({sx, sy, 1.})));
+  constexpr double kMaxBlur_px = 30;
+  const double blur = std::min(1.5 / std::min({sx, sy, 1.}), kMaxBlur_px);
+  out.blur_px = std::max(out.blur_px, static_cast<float>(blur));
 }
 
 template void lay_mask(const Image<Rgb8>& mask, Silhouettes& out);

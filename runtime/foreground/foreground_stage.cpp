@@ -57,9 +57,12 @@ Result<ForegroundStage> ForegroundStage::create(const std::vector<capture::Camer
                                                 const prt::Mesh& mesh) {
   auto impl = std::make_unique<Impl>();
   impl->planes.assign(planes.begin(), planes.end());
+  const auto views = std::ranges::count(cameras, capture::Role::kView, &capture::CameraInfo::role);
   for (std::size_t i = 0; i < cameras.size(); ++i) {
     const capture::CameraInfo& c = cameras[i];
     if (capture::sees_light(c.role)) continue;
+    if (c.role == capture::Role::kMask && views > 1)
+      return fail(ErrorCode::kInvalid, c.name, "is a mask, which goes with one view camera alone");
     Impl::ForegroundSource source{static_cast<int>(i), c, {}};
     if (source.is_depth()) {
       auto rays = DepthRays::create(c.projection);
@@ -147,13 +150,13 @@ prt::Mesh ForegroundStage::surface_near(std::span<const shadows::BoundingSphere>
           }))
         depth.at(x - area.x0, y - area.y0) = d;
     }
-  const auto ray = [&](const glm::dvec2& pixel) -> std::optional<glm::dvec2> {
+  const auto ray = [&](const glm::dvec2& pixel, float d) -> std::optional<glm::dvec2> {
     const int x = area.x0 + std::min(static_cast<int>(pixel.x), area.width() - 1),
               y = area.y0 + std::min(static_cast<int>(pixel.y), area.height() - 1);
     const glm::dvec2 towards = ray_of(x, y);
-    const float d = depth.at(x - area.x0, y - area.y0);
+    if (!std::isfinite(towards.x) || !std::isfinite(towards.y)) return std::nullopt;
     const glm::dvec3 point = front.world_from_camera * (double(d) * glm::dvec3(towards, -1));
-    return d > 0 && impl_->is_known(eye, point) ? std::nullopt : std::optional(towards);
+    return impl_->is_known(eye, point) ? std::nullopt : std::optional(towards);
   };
   auto mesh = mesh_from_depth(depth, ray, front.world_from_camera, {}, kMaxVertices);
   return mesh ? std::move(*mesh) : prt::Mesh{};
@@ -177,17 +180,29 @@ void ForegroundStage::Impl::lay(const ForegroundSource& source, const SplatView&
     lay_mask(std::get<Image<Rgb16>>(pixels), silhouettes);
 }
 
+void ForegroundStage::go_on_from(const ForegroundStage& before) {
+  for (const Impl::ForegroundSource& s : before.impl_->sources)
+    if (s.newest) (void)add(*s.newest);  // of the same cameras, which took it
+}
+
 std::shared_ptr<const compositor::Foreground> ForegroundStage::in_front_of(
-    const capture::Frame& view, const calib::CameraModel& camera, const compositor::ViewLens* lens,
-    const ResponseTable* curve) {
+    const capture::Frame& view, const ViewOptics& optics,
+    std::span<const shadows::BoundingSphere> spheres) {
   const auto tells = [&](const Impl::ForegroundSource& s) { return s.tells_of(view.time); };
   if (std::ranges::none_of(impl_->sources, tells)) return nullptr;
-  impl_->silhouettes.reset(camera.width, camera.height);
+  // A wall behind all objects hides none of them, and is background to a hand before it.
+  double farthest = 0;
+  for (const shadows::BoundingSphere& s : spheres)
+    farthest =
+        std::max(farthest, glm::distance(s.centre, view.world_from_camera.translation) + s.radius);
+  const SplatView to{optics.camera, optics.lens, view.world_from_camera,
+                     static_cast<float>(farthest)};
+  impl_->silhouettes.reset(optics.camera.width, optics.camera.height);
   for (const Impl::ForegroundSource& s : impl_->sources)
-    if (tells(s)) impl_->lay(s, {camera, lens, view.world_from_camera});
+    if (tells(s)) impl_->lay(s, to);
   if (impl_->silhouettes.area.empty()) return nullptr;
   auto out = impl_->unused();
-  find_cover(impl_->silhouettes, *view.pixels, curve, *out);
+  find_cover(impl_->silhouettes, *view.pixels, optics.curve, optics.vignetting, *out);
   return out;
 }
 

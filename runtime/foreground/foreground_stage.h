@@ -10,6 +10,7 @@
 
 #include "calib/camera/camera_model.h"
 #include "calib/camera/response_table.h"
+#include "calib/camera/vignetting.h"
 #include "capture/frames.h"
 #include "compositor/foreground.h"
 #include "compositor/view_lens.h"
@@ -28,7 +29,8 @@ class ForegroundStage {
   static constexpr Seconds kOldest{.25};
 
   /// planes, mesh: real things that the scene knows; the mesh may be empty
-  /// errors: kInvalid (a depth camera that sees more than 170 degrees), kUnavailable (Embree)
+  /// errors: kInvalid (a depth camera that sees more than 170 degrees, a mask and several view
+  ///         cameras), kUnavailable (Embree)
   static Result<ForegroundStage> create(const std::vector<capture::CameraInfo>& cameras,
                                         std::span<const prt::Plane> planes,
                                         const prt::Mesh& mesh = {});
@@ -42,12 +44,20 @@ class ForegroundStage {
   /// errors: kInvalid (another camera or size, depth that is not of 16 bits, a mask of floats)
   Result<void> add(const capture::Frame& frame);
 
-  /// What stands in front in a view frame; null: nothing.
-  /// curve: of the frame; null for float frames
-  std::shared_ptr<const compositor::Foreground> in_front_of(const capture::Frame& view,
-                                                            const calib::CameraModel& camera,
-                                                            const compositor::ViewLens* lens,
-                                                            const ResponseTable* curve);
+  /// Takes over the newest frames of another one of the same cameras.
+  void go_on_from(const ForegroundStage& before);
+
+  /// The camera of a view frame.
+  struct ViewOptics {
+    const calib::CameraModel& camera;
+    const compositor::ViewLens* lens = nullptr;  // null: a pinhole
+    const ResponseTable* curve = nullptr;        // of the frame; null for float frames
+    const Vignetting& vignetting;
+  };
+  /// What stands in front of anything in the spheres in a view frame; null: nothing.
+  std::shared_ptr<const compositor::Foreground> in_front_of(
+      const capture::Frame& view, const ViewOptics& optics,
+      std::span<const shadows::BoundingSphere> spheres);
 
   /// Whether a depth camera's newest frame is of about that time.
   bool tells_of(TimestampNs time) const;

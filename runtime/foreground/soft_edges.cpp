@@ -82,7 +82,7 @@ struct TwoColours {
     background = around.background.mean();
     apart = around.thing.mean() - background;
     const float squared = sum_of(apart * apart);
-    if (!(squared > 0)) return;
+    if (!(squared > 0) || !std::isfinite(squared)) return;
     per_squared = 1 / squared;
     trust = squared / (squared + kTrust * (around.thing.variance() + around.background.variance()));
   }
@@ -94,6 +94,7 @@ struct TwoColours {
     const float along = sum_of((signal - background) * apart) * per_squared;
     const float by_colour = std::clamp((along - kNoise) / (1 - 2 * kNoise), 0.f, 1.f);
     const float c = trust * by_colour + (1 - trust) * by_depth;
+    if (!std::isfinite(c)) return {0, 0, 0, by_depth};
     const Rgb fringe = apart * (trust * c * (1 - c));
     return {fringe.r, fringe.g, fringe.b, c};
   }
@@ -209,7 +210,7 @@ void for_pixels(const compositor::Foreground& f, const compositor::Rect& r, cons
 }
 
 template <class Pixel>
-void find_cover_in(const Silhouettes& in, const Signal<Pixel>& signal,
+void find_cover_in(const Silhouettes& in, const Signal<Pixel>& signal, const Vignetting& vignetting,
                    compositor::Foreground& out) {
   const EdgeBand band(in, out.area);
   const Blocks grid{out.area, 2 * band.radius() + 2};
@@ -218,7 +219,8 @@ void find_cover_in(const Silhouettes& in, const Signal<Pixel>& signal,
     for_pixels(out, grid.rect(b), [&](std::size_t i, int x, int y) {
       const bool thing = band.is_thing(i);
       out.distance_m[i] = in.distance_m.at(x, y);
-      out.cover[i] = {0, 0, 0, thing ? 1 : 0};
+      const float mask = in.cover.empty() ? 0 : in.cover.at(x, y);
+      out.cover[i] = {0, 0, 0, mask > 0 ? mask : thing ? 1 : 0};
       blocks[b].nearest_m = std::min(blocks[b].nearest_m, out.distance_m[i]);
       blocks[b].has_edge |= !thing && !band.is_background(i);
     });
@@ -230,8 +232,10 @@ void find_cover_in(const Silhouettes& in, const Signal<Pixel>& signal,
   for (std::size_t b = 0; b < blocks.size(); ++b)
     if (near_edge[b])
       for_pixels(out, grid.rect(b), [&](std::size_t i, int x, int y) {
-        if (band.is_thing(i)) blocks[b].thing.add(signal.at(x, y));
-        if (band.is_background(i)) blocks[b].background.add(signal.at(x, y));
+        const Rgb here = signal.at(x, y);
+        if (!std::isfinite(sum_of(here))) return;
+        if (band.is_thing(i)) blocks[b].thing.add(here);
+        if (band.is_background(i)) blocks[b].background.add(here);
       });
   for (std::size_t b = 0; b < blocks.size(); ++b) {
     if (!edges[b]) continue;
@@ -239,7 +243,13 @@ void find_cover_in(const Silhouettes& in, const Signal<Pixel>& signal,
     for_pixels(out, grid.rect(b), [&](std::size_t i, int x, int y) {
       if (band.is_thing(i) || band.is_background(i)) return;
       const float mask = in.cover.empty() ? 0 : in.cover.at(x, y);
-      out.cover[i] = colours.mixture(signal.at(x, y), mask > 0 ? mask : band.by_depth(i));
+      glm::vec4 c = colours.mixture(signal.at(x, y), mask > 0 ? mask : band.by_depth(i));
+      // The lens is put on all that is drawn, and the picture has it already.
+      if (!vignetting.none()) {
+        const auto left = static_cast<float>(vignetting.at({x + .5, y + .5}));
+        c = {c.r / left, c.g / left, c.b / left, c.a};
+      }
+      out.cover[i] = c;
       if (!(out.distance_m[i] < Silhouettes::kNothing)) out.distance_m[i] = colours.nearest_m;
     });
   }
@@ -248,7 +258,8 @@ void find_cover_in(const Silhouettes& in, const Signal<Pixel>& signal,
 }  // namespace
 
 void find_cover(const Silhouettes& silhouettes, const FramePixels& picture,
-                const ResponseTable* curve, compositor::Foreground& out) {
+                const ResponseTable* curve, const Vignetting& vignetting,
+                compositor::Foreground& out) {
   const int rim = 2 * static_cast<int>(std::ceil(silhouettes.blur_px)) + 2;
   const compositor::Rect& a = silhouettes.area;
   const Image<float>& d = silhouettes.distance_m;
@@ -260,7 +271,7 @@ void find_cover(const Silhouettes& silhouettes, const FramePixels& picture,
   out.distance_m.resize(pixels);
   std::visit(
       [&]<class Pixel>(const Image<Pixel>& p) {
-        find_cover_in(silhouettes, Signal<Pixel>(p, curve), out);
+        find_cover_in(silhouettes, Signal<Pixel>(p, curve), vignetting, out);
       },
       picture);
 }

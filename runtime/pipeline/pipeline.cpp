@@ -154,6 +154,7 @@ runtime::CompositeStage* Pipeline::Impl::take_next_stage() {
     // A move that comes now goes to either, but to neither in vain.
     const std::scoped_lock lock(stage_mutex);
     next->stage->moves().go_on_from(composite->moves());
+    next->stage->go_on_from(*composite);
     std::swap(composite, next->stage);
   }
   next->stage.reset();  // refers to the scene before

@@ -124,6 +124,8 @@ class Replay {
   // View frames that wait are composited with what was in front of them.
   Result<void> add_foreground(const capture::Frame& frame) {
     if (waiting_.empty()) return compose_.add_foreground(frame);
+    // Of several before the next view frame the newest counts.
+    if (waiting_.back().camera == frame.camera) waiting_.pop_back();
     waiting_.push_back(frame);
     return {};
   }
@@ -133,7 +135,9 @@ class Replay {
     waiting_.push_back(frame);
     const std::size_t pixels =
         std::visit([](const auto& p) { return p.area(); }, *frame.pixels) * waiting_.size();
-    const bool wait = !light_.ready() && waiting_.size() < kMaxWaiting && pixels < kMaxPixels;
+    const auto views = static_cast<std::size_t>(std::ranges::count_if(
+        waiting_, [&](const capture::Frame& f) { return is_view(source_, f); }));
+    const bool wait = !light_.ready() && views < kMaxWaiting && pixels < kMaxPixels;
     return wait ? Result<void>{} : compose_waiting();
   }
 

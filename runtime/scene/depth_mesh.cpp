@@ -63,7 +63,7 @@ Result<prt::Mesh> mesh_from_depth(const Image<float>& depth, const DepthRay& ray
     for (int i = 0; i < columns; ++i) {
       const float d = depth_of_block(depth, i * step, j * step, step);
       const auto towards =
-          d > 0 ? ray({(i + .5) * step, (j + .5) * step}) : std::optional<glm::dvec2>();
+          d > 0 ? ray({(i + .5) * step, (j + .5) * step}, d) : std::optional<glm::dvec2>();
       depths.push_back(towards ? d : 0);
       vertex.push_back(static_cast<std::uint32_t>(mesh.positions.size()));
       if (!towards) continue;
@@ -101,7 +101,7 @@ Result<prt::Mesh> mesh_from_depth(const Image<float>& depth, const prt::PinholeV
     return fail(ErrorCode::kInvalid, "depth",
                 fmt::format("has {}x{} pixels, but its camera has {}x{}", depth.width(),
                             depth.height(), view.width, view.height));
-  const DepthRay ray = [&](const glm::dvec2& pixel) -> std::optional<glm::dvec2> {
+  const DepthRay ray = [&](const glm::dvec2& pixel, float) -> std::optional<glm::dvec2> {
     const glm::dvec2 off = (pixel - view.principal_px) / view.focal_px;
     return glm::dvec2(off.x, -off.y);
   };

@@ -16,8 +16,8 @@
 #pragma GCC visibility push(default)
 namespace penumbra::runtime {
 
-/// Where a pixel of a depth picture looks: (x, y, -1); nothing where it has no depth.
-using DepthRay = std::function<std::optional<glm::dvec2>(const glm::dvec2& pixel)>;
+/// Where a pixel of a depth picture looks: (x, y, -1), finite; nothing where a depth does not count.
+using DepthRay = std::function<std::optional<glm::dvec2>(const glm::dvec2& pixel, float depth_m)>;
 
 /// The surface behind a depth picture, in the world frame: one vertex for every few pixels, so that
 /// the longer side has at most `max_vertices`. Each lies at the nearest depth around it that is

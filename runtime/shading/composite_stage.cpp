@@ -526,6 +526,8 @@ void CompositeStage::warm_up() {
     view.foreground = std::move(nowhere);
   }
   (void)compositor_->composite(view, black);
+  view.foreground.reset();
+  if (foreground_.any()) (void)compositor_->composite(view, black);
 }
 
 Result<void> CompositeStage::add_camera(const capture::CameraInfo& info) {
@@ -577,7 +579,9 @@ std::shared_ptr<const compositor::Foreground> CompositeStage::foreground_of(
     const capture::Frame& frame, const ViewCamera& camera, const ResponseTable* curve) {
   if (!foreground_.any()) return nullptr;
   const StageTimer timer(times_, "foreground");
-  return foreground_.in_front_of(frame, camera.info.projection, camera.lens.get(), curve);
+  return foreground_.in_front_of(
+      frame, {camera.info.projection, camera.lens.get(), curve, camera.vignetting},
+      lights_.spheres());
 }
 
 compositor::View CompositeStage::view_of(const capture::Frame& frame) {

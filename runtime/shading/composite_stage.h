@@ -110,6 +110,7 @@ class CompositeStage {
   /// for a quarter of a second.
   /// errors: as ForegroundStage::add
   Result<void> add_foreground(const capture::Frame& frame) { return foreground_.add(frame); }
+  void go_on_from(const CompositeStage& before) { foreground_.go_on_from(before.foreground_); }
   compositor::Compositor& output() { return *compositor_; }
   /// From then on another thread may use it, the only one then.
   void release() { compositor_->release(); }

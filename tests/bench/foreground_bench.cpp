@@ -50,6 +50,8 @@ void foreground(benchmark::State& state) {
   const ResponseTable curve({decode, decode, decode}, 0);
   const capture::Frame frame = still(0, codes, pose);
   const prt::Plane table;
+  const Vignetting none;
+  const std::vector<shadows::BoundingSphere> near_hand{{{0, 0, 0}, 1}};
   auto stage = runtime::ForegroundStage::create(cameras, {&table, 1});
   if (!stage) return state.SkipWithError(stage.error().detail.c_str());
   const capture::Frame seen = still(1, film_depth(world, depth, beside, {}, 1), beside);
@@ -59,7 +61,7 @@ void foreground(benchmark::State& state) {
       state,
       [&] {
         if (!stage->add(seen)) return;
-        const auto found = stage->in_front_of(frame, view, nullptr, &curve);
+        const auto found = stage->in_front_of(frame, {view, nullptr, &curve, none}, near_hand);
         part = double(found->area.width()) * found->area.height() / double(codes.area());
       },
       [&] {

@@ -115,6 +115,8 @@ struct Filmed {
 };
 
 const prt::Plane kTable;
+const Vignetting kNoVignetting;
+const std::vector<shadows::BoundingSphere> kNearBall{{{0, .13, 0}, .6}};
 
 float cover_in(const compositor::Foreground& f, int x, int y) {
   if (x < f.area.x0 || x >= f.area.x1 || y < f.area.y0 || y >= f.area.y1) return 0;
@@ -130,7 +132,7 @@ EdgeError depth_alone(const Filmed& filmed) {
   const auto rays = DepthRays::create(kDepthCamera);
   find_front(std::get<Image<Rgb16>>(*filmed.depth.pixels), .001f, *rays, depth_pose(), {&kTable, 1},
              front);
-  splat_depth(front, *rays, {kHandView, nullptr, HandWorld::view()}, scratch, out);
+  splat_depth(front, *rays, {kHandView, nullptr, HandWorld::view(), 2}, scratch, out);
   return edge_error(filmed.picture.cover, [&](int x, int y) {
     return out.distance_m.at(x, y) < Silhouettes::kNothing ? 1.f : 0.f;
   });
@@ -159,7 +161,8 @@ TEST(ForegroundEdge, IsWithinAPixelAndAHalfOfTheTruth) {
       auto stage = ForegroundStage::create(filmed.cameras, {&kTable, 1});
       ASSERT_TRUE(stage) << stage.error().detail;
       ASSERT_TRUE(stage->add(filmed.depth));
-      const auto found = stage->in_front_of(filmed.view, kHandView, nullptr, nullptr);
+      const auto found =
+          stage->in_front_of(filmed.view, {kHandView, nullptr, nullptr, kNoVignetting}, kNearBall);
       ASSERT_NE(found, nullptr);
       const EdgeError naive = depth_alone(filmed);
       const EdgeError ours =
@@ -366,8 +369,8 @@ TEST(HandInFront, ThroughALensItIsWhereItIs) {
   ASSERT_TRUE(
       stage->add(frame_of(kDepth, film_depth(world, depth, depth_pose(), {}, 3), depth_pose())));
   const auto found = stage->in_front_of(
-      frame_of(kViewCamera, with_noise(picture.signal, .004f, 3), HandWorld::view()), view,
-      lens->get(), nullptr);
+      frame_of(kViewCamera, with_noise(picture.signal, .004f, 3), HandWorld::view()),
+      {view, lens->get(), nullptr, kNoVignetting}, kNearBall);
   ASSERT_NE(found, nullptr);
   const EdgeError ours =
       edge_error(picture.cover, [&](int x, int y) { return cover_in(*found, x, y); });
@@ -385,7 +388,8 @@ TEST(HandInFront, NoisyDepthOfTheTableHidesNoShadow) {
   auto stage = ForegroundStage::create(filmed.cameras, {&kTable, 1});
   ASSERT_TRUE(stage);
   ASSERT_TRUE(stage->add(filmed.depth));
-  const auto found = stage->in_front_of(filmed.view, kHandView, nullptr, nullptr);
+  const auto found =
+      stage->in_front_of(filmed.view, {kHandView, nullptr, nullptr, kNoVignetting}, kNearBall);
   int covered = 0;
   for (int y = 0; found && y < kHandView.height; ++y)
     for (int x = 0; x < kHandView.width; ++x) covered += cover_in(*found, x, y) > 0;

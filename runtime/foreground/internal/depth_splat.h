@@ -33,7 +33,7 @@ struct Silhouettes {
   Image<float> distance_m;  // kNothing where nothing is in front
   Image<float> cover;       // 0..1, of masks; empty without
   compositor::Rect area;    // of all that is covered
-  float blur_px = 0;        // how far an edge may lie off
+  float blur_px = 0;        // how far an edge may lie off: at most 30
 
   void reset(int width, int height);
 };
@@ -55,6 +55,7 @@ struct SplatView {
   const calib::CameraModel& camera;
   const compositor::ViewLens* lens;  // null: a pinhole
   Pose world_from_camera;
+  float max_distance_m;  // what lies beyond hides nothing
 };
 
 /// Of one row of depth.

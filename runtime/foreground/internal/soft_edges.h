@@ -3,6 +3,7 @@
 #pragma once
 
 #include "calib/camera/response_table.h"
+#include "calib/camera/vignetting.h"
 #include "compositor/foreground.h"
 #include "core/image.h"
 #include "runtime/foreground/internal/depth_splat.h"
@@ -14,6 +15,7 @@ namespace penumbra::runtime {
 /// much, depth alone tells.
 /// source: alpha as the projection onto the line between two colours, Ruzon & Tomasi 2000
 void find_cover(const Silhouettes& silhouettes, const FramePixels& picture,
-                const ResponseTable* curve, compositor::Foreground& out);
+                const ResponseTable* curve, const Vignetting& vignetting,
+                compositor::Foreground& out);
 
 }  // namespace penumbra::runtime
