@@ -36,7 +36,7 @@ void ForegroundTextures::make_room(int width, int height) {
   if (textures_ && textures_->width >= width && textures_->height >= height) return;
   const int wide = textures_ ? std::max(textures_->width, width) : width,
             high = textures_ ? std::max(textures_->height, height) : height;
-  Textures& t = textures_.emplace();
+  CoverTextures& t = textures_.emplace();
   t.width = room(wide), t.height = room(high);
   for (const auto& [texture, format] :
        {std::pair(t.cover.get(), GL_RGBA32F), {t.distance.get(), GL_R32F}}) {

@@ -10,6 +10,11 @@
 
 namespace penumbra::compositor {
 
+struct CoverTextures {
+  GlTexture cover{}, distance{};
+  int width = 0, height = 0;  // pixels that there is room for
+};
+
 class ForegroundTextures {
  public:
   /// Units of its textures; those of other pictures are below.
@@ -24,14 +29,10 @@ class ForegroundTextures {
   void bind(GLuint program) const;
 
  private:
-  struct Textures {
-    GlTexture cover{}, distance{};
-    int width = 0, height = 0;  // pixels that there is room for
-  };
   void make_room(int width, int height);
 
   std::shared_ptr<const Foreground> foreground_;
-  std::optional<Textures> textures_;
+  std::optional<CoverTextures> textures_;
   Rect canvas_;
   int scale_ = 1;
 };

@@ -62,6 +62,7 @@ struct HandWorld {
   Rgb skin{.45f, .27f, .19f};
   float texture = .25f;  // of the floor, as a fraction of its albedo
   Rgb floor{.3f, .31f, .33f};
+  bool wall = false;  // close behind the middle of the table, and no plane of the scene
 
   /// A forearm, a palm and four fingers over the middle of the table, as seen from view().
   static HandWorld usual() {
@@ -87,9 +88,17 @@ struct HandWorld {
         nearest = h;
     return nearest;
   }
-  /// Distance to the hand or the floor; nothing for the sky.
+  /// Where the wall is nearer than the floor.
+  std::optional<double> wall_at(const glm::dvec3& eye, const glm::dvec3& direction) const {
+    constexpr double kWallZ = -.2;
+    if (!wall || direction.z >= 0) return std::nullopt;
+    const double t = (kWallZ - eye.z) / direction.z;
+    return eye.y + t * direction.y > 0 ? std::optional(t) : std::nullopt;
+  }
+  /// Distance to the hand, the wall or the floor; nothing for the sky.
   std::optional<double> distance(const glm::dvec3& eye, const glm::dvec3& direction) const {
     if (const auto h = hand(eye, direction)) return h->distance;
+    if (const auto w = wall_at(eye, direction)) return w;
     if (direction.y < 0) return eye.y / -direction.y;
     return std::nullopt;
   }
@@ -108,6 +117,7 @@ struct HandWorld {
     return skin * static_cast<float>(.45 + .55 * std::max(0., glm::dot(h.normal, light)));
   }
   Rgb behind(const glm::dvec3& eye, const glm::dvec3& direction) const {
+    if (wall_at(eye, direction)) return {.35f, .34f, .3f};
     if (direction.y < 0) return floor_radiance(eye + direction * (eye.y / -direction.y));
     return {.5f, .55f, .6f};
   }
