@@ -133,6 +133,14 @@ void project(const SplatView& view, const Pose& view_from_depth, const DepthFron
   }
 }
 
+// `distance_m` as project() gives it.
+float from_eye_m(const SplatView& view, float x_px, float y_px, float distance_m) {
+  if (view.lens) return distance_m;
+  const glm::vec2 slope = (glm::vec2(x_px, y_px) - glm::vec2(view.camera.principal_px)) /
+                          glm::vec2(view.camera.focal_px);
+  return distance_m * std::sqrt(1 + glm::dot(slope, slope));
+}
+
 void cover_square(float x_px, float y_px, float distance_m, float half_px, Silhouettes& out) {
   Image<float>& distance = out.distance_m;
   // The first pixel whose centre is not before v; casts round down what is above 0.
@@ -215,7 +223,7 @@ void splat_depth(const DepthFront& front, const DepthRays& rays, const SplatView
     for (std::size_t i = 0; i < scratch.distance_m.size(); ++i) {
       const float w = scratch.distance_m[i];
       if (!(w > 0)) continue;
-      if (w > view.max_distance_m) continue;
+      if (from_eye_m(view, scratch.x_px[i], scratch.y_px[i], w) > view.max_distance_m) continue;
       const float side = std::min(scale * row[i] / w, kMaxSide_px);
       largest = std::max(largest, side);
       cover_square(scratch.x_px[i], scratch.y_px[i], w, .5f * kOverlap * side, out);

@@ -16,7 +16,8 @@
 #pragma GCC visibility push(default)
 namespace penumbra::runtime {
 
-/// Where a pixel of a depth picture looks: (x, y, -1), finite; nothing where a depth does not count.
+/// Where a pixel of a depth picture looks: (x, y, -1), finite; nothing where its depth does not
+/// count.
 using DepthRay = std::function<std::optional<glm::dvec2>(const glm::dvec2& pixel, float depth_m)>;
 
 /// The surface behind a depth picture, in the world frame: one vertex for every few pixels, so that

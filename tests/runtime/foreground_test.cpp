@@ -647,7 +647,7 @@ TEST(HandInFront, ALiveRunTakesTheNewestDepth) {
   const std::vector<FramePixels> naive = replayed(without);
   int hidden = 0;
   const auto sink = [&](const Output& o) {
-    hidden += o.light.valid && !(*o.pixels == naive[o.frame.sequence]);
+    hidden += o.light.valid && !(*o.pixels == naive[o.source.sequence]);
     return true;
   };
   const auto ran = pipeline->run_live(source, sink, stop);

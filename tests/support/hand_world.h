@@ -90,7 +90,7 @@ struct HandWorld {
   }
   /// Where the wall is nearer than the floor.
   std::optional<double> wall_at(const glm::dvec3& eye, const glm::dvec3& direction) const {
-    constexpr double kWallZ = -.2;
+    constexpr double kWallZ = -.45;
     if (!wall || direction.z >= 0) return std::nullopt;
     const double t = (kWallZ - eye.z) / direction.z;
     return eye.y + t * direction.y > 0 ? std::optional(t) : std::nullopt;

@@ -55,7 +55,7 @@ struct SplatView {
   const calib::CameraModel& camera;
   const compositor::ViewLens* lens;  // null: a pinhole
   Pose world_from_camera;
-  float max_distance_m;  // what lies beyond hides nothing
+  float max_distance_m;  // from the eye; what lies beyond hides nothing
 };
 
 /// Of one row of depth.
