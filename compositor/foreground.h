@@ -9,7 +9,6 @@
 
 #include "compositor/projection.h"
 
-#pragma GCC visibility push(default)
 namespace penumbra::compositor {
 
 /// What is drawn is hidden by them where it lies farther away, and shadows of what is drawn do not
@@ -36,4 +35,3 @@ struct Foreground {
 };
 
 }  // namespace penumbra::compositor
-#pragma GCC visibility pop

@@ -207,10 +207,11 @@ Result<void> LayerPrograms::prepare(ProgramKind kind) {
 }
 
 // What may be drawn until the next prepare().
-std::vector<LayerPrograms::ProgramKind> LayerPrograms::kinds() const {
+std::array<LayerPrograms::ProgramKind, 2> LayerPrograms::kinds() const {
   const bool foreground = foreground_.any();
-  if (!through_lens_) return {{Way::kPinhole, foreground}};
-  return {{Way::kLens, foreground}, {Way::kCutLens, foreground}};
+  const ProgramKind pinhole{Way::kPinhole, foreground};
+  if (!through_lens_) return {pinhole, pinhole};
+  return {ProgramKind{Way::kLens, foreground}, ProgramKind{Way::kCutLens, foreground}};
 }
 
 Result<void> LayerPrograms::prepare(const std::shared_ptr<const ViewLens>& lens,

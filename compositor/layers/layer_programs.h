@@ -67,7 +67,7 @@ class LayerPrograms {
   };
   static Result<Programs> make(ProgramKind kind);
   Result<void> prepare(ProgramKind kind);
-  std::vector<ProgramKind> kinds() const;
+  std::array<ProgramKind, 2> kinds() const;
   ProgramKind kind_of(const ViewProjection& from_points, bool cut) const;
   void set_up(GLuint program, const ViewProjection& from_points) const;
 

@@ -13,7 +13,6 @@
 #include "prt/geometry/mesh.h"
 #include "prt/geometry/pinhole_view.h"
 
-#pragma GCC visibility push(default)
 namespace penumbra::runtime {
 
 /// Where a pixel of a depth picture looks: (x, y, -1), finite; nothing where its depth does not
@@ -41,4 +40,3 @@ Result<prt::Mesh> read_depth_mesh(const std::filesystem::path& depth_file,
                                   const std::filesystem::path& camera_file, Rgb albedo);
 
 }  // namespace penumbra::runtime
-#pragma GCC visibility pop
