@@ -19,6 +19,9 @@ struct Foreground {
   static constexpr float kMinMargin_m = .015f, kMargin = .02f;
   static float margin_m(float distance_m) { return std::max(kMinMargin_m, kMargin * distance_m); }
 
+  /// Of a pixel that nothing covers: farther than anything that is drawn.
+  static constexpr float kNowhere_m = 1e6f;
+
   Rect area;  // elsewhere nothing is in front
   /// By pixel of the area, row by row: metres along the axis of a pinhole, from the eye through a
   /// lens.

@@ -71,6 +71,8 @@ Result<RigCamera> read_rig_camera(const TomlKeys& keys) {
   if (camera.info.role == Role::kDepth) camera.settings.format = kDepthFormat;
   if (keys.has("format")) {
     PENUMBRA_ASSIGN(format, keys.text("format"));
+    if (camera.info.role == Role::kDepth && format != kDepthFormat && format != "Y16")
+      return keys.invalid("format", "is neither Z16 nor Y16, which a depth camera has");
     camera.settings.format = format;
   }
   if (keys.has("fps")) {

@@ -9,18 +9,19 @@ float seen_past_foreground() { return 1.0; }
 vec4 with_foreground(vec4 c) { return c; }
 )";
 
-// Margins as of Foreground. Between half of one and one and a half a thing goes from the front to
-// the back.
+// Between half of a margin and one and a half a thing goes from the front to the back.
 const char* const kBehindForeground = R"(
 uniform highp sampler2D foreground_cover, foreground_distance;
 uniform vec3 foreground_place;  // of the canvas's corner in it, pixels a sample
 uniform ivec2 foreground_size;
+uniform vec2 foreground_margin;  // the least, and by distance
 vec4 foreground_cover_here() {
   vec2 at = foreground_place.xy + gl_FragCoord.xy * foreground_place.z;
   ivec2 i = ivec2(floor(at));
   if (any(lessThan(i, ivec2(0))) || any(greaterThanEqual(i, foreground_size))) return vec4(0);
   float d = texelFetch(foreground_distance, i, 0).r;
-  float farther = (1.0 / gl_FragCoord.w - d) / max(0.015, 0.02 * d);
+  float margin = max(foreground_margin.x, foreground_margin.y * d);
+  float farther = (1.0 / gl_FragCoord.w - d) / margin;
   return clamp(farther - 0.5, 0.0, 1.0) * texelFetch(foreground_cover, i, 0);
 }
 float seen_past_foreground() { return 1.0 - foreground_cover_here().a; }
@@ -73,6 +74,7 @@ void ForegroundTextures::bind(GLuint program) const {
   glUniform3f(at("foreground_place"), static_cast<float>(canvas_.x0 - area.x0),
               static_cast<float>(canvas_.y0 - area.y0), 1.f / static_cast<float>(scale_));
   glUniform2i(at("foreground_size"), area.width(), area.height());
+  glUniform2f(at("foreground_margin"), Foreground::kMinMargin_m, Foreground::kMargin);
   for (const auto& [name, unit, texture] :
        {std::tuple("foreground_cover", kCoverUnit, textures_->cover.get()),
         {"foreground_distance", kDistanceUnit, textures_->distance.get()}}) {

@@ -17,8 +17,9 @@ Result<void> composite(const char* capture, const char* scene_file, const char* 
     PENUMBRA_ASSIGN(frame, source->next());
     if (!frame) break;
     if (pipeline.shows_surroundings(frame->camera)) PENUMBRA_TRY(pipeline.add_environment(*frame));
-    const auto camera = static_cast<std::size_t>(frame->camera);
-    if (source->cameras()[camera].role != capture::Role::kView) continue;
+    const auto role = source->cameras()[static_cast<std::size_t>(frame->camera)].role;
+    if (!capture::sees_light(role)) PENUMBRA_TRY(pipeline.add_foreground(*frame));
+    if (role != capture::Role::kView) continue;
     PENUMBRA_ASSIGN(composited, pipeline.composite(*frame));
     picture = std::move(composited);
   }

@@ -196,7 +196,7 @@ Result<DepthRays> DepthRays::create(const calib::CameraModel& camera) {
 
 void Silhouettes::reset(int width, int height) {
   distance_m.reset(width, height, kNothing);
-  cover = {};
+  has_mask = has_depth = false;
   area = {};
   blur_px = 0;
 }
@@ -213,10 +213,10 @@ void find_front(const Image<Rgb16>& codes, float unit_m, const DepthRays& rays,
 void splat_depth(const DepthFront& front, const DepthRays& rays, const SplatView& view,
                  SplatRow& scratch, Silhouettes& out) {
   constexpr float kOverlap = 1.15f, kBlur = 1.5f;  // of a depth pixel
-  constexpr float kMaxSide_px = 20;                // of a coarse camera, or of what is close up
+  constexpr float kMaxSide_px = 40, kMaxBlur_px = Silhouettes::kMaxBlur_px;
   const Pose view_from_depth = view.world_from_camera.inverse() * front.world_from_camera;
   const float scale = static_cast<float>(view.camera.focal_px.x) / rays.focal_px;
-  float largest = 1;
+  double squares = 0, cubes = 0;  // of all sides
   for (int y = front.area.y0; y < front.area.y1; ++y) {
     project(view, view_from_depth, front, rays, y, scratch);
     const auto row = front.depth_m.row(y).subspan(static_cast<std::size_t>(front.area.x0));
@@ -225,12 +225,15 @@ void splat_depth(const DepthFront& front, const DepthRays& rays, const SplatView
       if (!(w > 0)) continue;
       if (from_eye_m(view, scratch.x_px[i], scratch.y_px[i], w) > view.max_distance_m) continue;
       const float side = std::min(scale * row[i] / w, kMaxSide_px);
-      largest = std::max(largest, side);
+      squares += double(side * side), cubes += double(side * side * side);
       cover_square(scratch.x_px[i], scratch.y_px[i], w, .5f * kOverlap * side, out);
     }
   }
   close_cracks(out);
-  out.blur_px = std::max(out.blur_px, kBlur * largest);
+  out.has_depth = true;
+  // By area: a few near pixels make no edge uncertain but their own.
+  const float mean = squares > 0 ? static_cast<float>(cubes / squares) : 0;
+  out.blur_px = std::max(out.blur_px, std::min(kBlur * std::max(mean, 1.f), kMaxBlur_px));
 }
 
 namespace {
@@ -244,34 +247,52 @@ float fraction(const Rgb16& p) {
 
 }  // namespace
 
+namespace {
+
+// Between two pixels of a row or a column, the first of which `at` is; beyond the rim it goes on.
+struct Between {
+  std::size_t at, next;
+  float part;  // of the next
+};
+Between between(double place, int size) {
+  const double inside = std::clamp(place - .5, 0., size - 1.);
+  const auto at = static_cast<std::size_t>(inside);
+  return {at, std::min(at + 1, static_cast<std::size_t>(size) - 1),
+          static_cast<float>(inside - std::floor(inside))};
+}
+
+}  // namespace
+
 template <class Pixel>
 void lay_mask(const Image<Pixel>& mask, Silhouettes& out) {
   const int width = out.distance_m.width(), height = out.distance_m.height();
-  if (out.cover.empty()) out.cover.reset(width, height, 0);
+  if (!out.has_mask) out.cover.reset(width, height, 0);
+  out.has_mask = true;
   const double sx = double(mask.width()) / width, sy = double(mask.height()) / height;
-  const auto at = [&](int x, int y) {
-    return fraction(
-        mask.at(std::clamp(x, 0, mask.width() - 1), std::clamp(y, 0, mask.height() - 1)));
-  };
+  std::vector<Between> columns;
+  for (int x = 0; x < width; ++x) columns.push_back(between((x + .5) * sx, mask.width()));
   for (int y = 0; y < height; ++y) {
-    const double v = (y + .5) * sy - .5;
-    const int j = static_cast<int>(std::floor(v));
-    const auto b = static_cast<float>(v - j);
+    const Between rows = between((y + .5) * sy, mask.height());
+    const auto above = mask.row(static_cast<int>(rows.at)),
+               below = mask.row(static_cast<int>(rows.next));
+    const auto cover = out.cover.row(y), distance = out.distance_m.row(y);
+    int first = width, last = -1;
     for (int x = 0; x < width; ++x) {
-      const double u = (x + .5) * sx - .5;
-      const int i = static_cast<int>(std::floor(u));
-      const auto a = static_cast<float>(u - i);
-      const float cover = (1 - b) * ((1 - a) * at(i, j) + a * at(i + 1, j)) +
-                          b * ((1 - a) * at(i, j + 1) + a * at(i + 1, j + 1));
-      if (!(cover > 0)) continue;
-      out.cover.at(x, y) = std::max(out.cover.at(x, y), cover);
-      if (cover >= .5f) out.distance_m.at(x, y) = 0;
-      out.area = compositor::united(out.area, {x, y, x + 1, y + 1});
+      const auto i = static_cast<std::size_t>(x);
+      const Between& c = columns[i];
+      const auto mix = [](float a, float b, float part) { return a + part * (b - a); };
+      const float here =
+          mix(mix(fraction(above[c.at]), fraction(above[c.next]), c.part),
+              mix(fraction(below[c.at]), fraction(below[c.next]), c.part), rows.part);
+      if (!(here > 0)) continue;
+      cover[i] = std::max(cover[i], here);
+      if (here >= .5f) distance[i] = 0;
+      first = std::min(first, x), last = x;
     }
+    if (last >= first) out.area = compositor::united(out.area, {first, y, last + 1, y + 1});
   }
-  constexpr double kMaxBlur_px = 30;
-  const double blur = std::min(1.5 / std::min({sx, sy, 1.}), kMaxBlur_px);
-  out.blur_px = std::max(out.blur_px, static_cast<float>(blur));
+  const auto blur = static_cast<float>(1.5 / std::min({sx, sy, 1.}));
+  out.blur_px = std::max(out.blur_px, std::min(blur, Silhouettes::kMaxBlur_px));
 }
 
 template void lay_mask(const Image<Rgb8>& mask, Silhouettes& out);

@@ -38,8 +38,9 @@ struct ForegroundStage::Impl {
   std::vector<prt::Plane> planes;
   std::optional<prt::RayScene> mesh;  // of the scene
   std::uint64_t depth_frames = 0;
-  Silhouettes silhouettes;  // scratch, as row
+  Silhouettes silhouettes;  // scratch, as the next two
   SplatRow row;
+  EdgeScratch edges;
   std::vector<std::shared_ptr<compositor::Foreground>> handed_out;
 };
 
@@ -135,28 +136,25 @@ prt::Mesh ForegroundStage::surface_near(std::span<const shadows::BoundingSphere>
   if (source == impl_->sources.end()) return {};
   const DepthFront& front = source->front;
   const compositor::Rect& area = front.area;
-  const glm::dvec3& eye = front.world_from_camera.translation;
-  const auto ray_of = [&](int x, int y) {
-    return glm::dvec2(source->rays.x.at(x, y), source->rays.y.at(x, y));
-  };
   Image<float> depth(area.width(), area.height());
-  for (int y = area.y0; y < area.y1; ++y)
-    for (int x = area.x0; x < area.x1; ++x) {
-      const float d = front.depth_m.at(x, y);
-      if (!(d > 0)) continue;
-      const glm::dvec3 point = front.world_from_camera * (double(d) * glm::dvec3(ray_of(x, y), -1));
-      if (std::ranges::any_of(spheres, [&](const shadows::BoundingSphere& s) {
-            return glm::distance(point, s.centre) < s.radius + kReach_m;
-          }))
-        depth.at(x - area.x0, y - area.y0) = d;
-    }
+  for (int y = 0; y < area.height(); ++y)
+    std::ranges::copy(front.depth_m.row(area.y0 + y)
+                          .subspan(static_cast<std::size_t>(area.x0), depth.row(y).size()),
+                      depth.row(y).begin());
+  const auto is_near = [&](const glm::dvec3& point) {
+    return std::ranges::any_of(spheres, [&](const shadows::BoundingSphere& s) {
+      return glm::distance(point, s.centre) < s.radius + kReach_m;
+    });
+  };
   const auto ray = [&](const glm::dvec2& pixel, float d) -> std::optional<glm::dvec2> {
     const int x = area.x0 + std::min(static_cast<int>(pixel.x), area.width() - 1),
               y = area.y0 + std::min(static_cast<int>(pixel.y), area.height() - 1);
-    const glm::dvec2 towards = ray_of(x, y);
+    const glm::dvec2 towards(source->rays.x.at(x, y), source->rays.y.at(x, y));
     if (!std::isfinite(towards.x) || !std::isfinite(towards.y)) return std::nullopt;
     const glm::dvec3 point = front.world_from_camera * (double(d) * glm::dvec3(towards, -1));
-    return impl_->is_known(eye, point) ? std::nullopt : std::optional(towards);
+    const bool counts =
+        is_near(point) && !impl_->is_known(front.world_from_camera.translation, point);
+    return counts ? std::optional(towards) : std::nullopt;
   };
   auto mesh = mesh_from_depth(depth, ray, front.world_from_camera, {}, kMaxVertices);
   return mesh ? std::move(*mesh) : prt::Mesh{};
@@ -202,7 +200,7 @@ std::shared_ptr<const compositor::Foreground> ForegroundStage::in_front_of(
     if (tells(s)) impl_->lay(s, to);
   if (impl_->silhouettes.area.empty()) return nullptr;
   auto out = impl_->unused();
-  find_cover(impl_->silhouettes, *view.pixels, optics.curve, optics.vignetting, *out);
+  find_cover(impl_->silhouettes, *view.pixels, optics.curve, optics.vignetting, impl_->edges, *out);
   return out;
 }
 

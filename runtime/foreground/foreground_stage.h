@@ -55,6 +55,7 @@ class ForegroundStage {
     const Vignetting& vignetting;
   };
   /// What stands in front of anything in the spheres in a view frame; null: nothing.
+  /// in: a frame of the camera's size
   std::shared_ptr<const compositor::Foreground> in_front_of(
       const capture::Frame& view, const ViewOptics& optics,
       std::span<const shadows::BoundingSphere> spheres);

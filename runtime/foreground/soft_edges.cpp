@@ -9,6 +9,9 @@ namespace penumbra::runtime {
 
 namespace {
 
+using Side = EdgeScratch::Side;
+using EdgeBlock = EdgeScratch::EdgeBlock;
+
 // Linear signal of one kind of pixel.
 template <class Pixel>
 class Signal {
@@ -32,41 +35,24 @@ float sum_of(const Rgb& v) {
   return v.r + v.g + v.b;
 }
 
-// Colours of one side of an edge within a block.
-struct SideSum {
-  float count = 0;
-  Rgb sum, squares;
-  void add(const Rgb& c) {
-    ++count;
-    sum += c;
-    squares += c * c;
-  }
-  SideSum& operator+=(const SideSum& o) {
-    count += o.count;
-    sum += o.sum;
-    squares += o.squares;
-    return *this;
-  }
-  Rgb mean() const { return sum * (1 / count); }
-  // Of a pixel, over all channels.
-  float variance() const {
-    const Rgb m = mean();
-    return std::max(sum_of(squares) / count - sum_of(m * m), 0.f);
-  }
-};
-
-struct EdgeBlock {
-  SideSum thing, background;
-  float nearest_m = Silhouettes::kNothing;
-  bool has_edge = false;
-  EdgeBlock& operator+=(const EdgeBlock& o) {
-    thing += o.thing;
-    background += o.background;
-    nearest_m = std::min(nearest_m, o.nearest_m);
-    has_edge |= o.has_edge;
-    return *this;
-  }
-};
+void add(Side& side, const Rgb& c) {
+  ++side.count;
+  side.sum += c;
+  side.squares += c * c;
+}
+void add(Side& side, const Side& o) {
+  side.count += o.count;
+  side.sum += o.sum;
+  side.squares += o.squares;
+}
+Rgb mean_of(const Side& side) {
+  return side.sum * (1 / side.count);
+}
+// Of a pixel, over all channels.
+float variance_of(const Side& side) {
+  const Rgb m = mean_of(side);
+  return std::max(sum_of(side.squares) / side.count - sum_of(m * m), 0.f);
+}
 
 // What a thing and its background look like around a block.
 struct TwoColours {
@@ -79,12 +65,13 @@ struct TwoColours {
     constexpr float kMinSeen = 4;  // pixels of a side that tell its colour
     constexpr float kTrust = 4;    // times its variance a difference must be to count as much
     if (around.thing.count < kMinSeen || around.background.count < kMinSeen) return;
-    background = around.background.mean();
-    apart = around.thing.mean() - background;
+    background = mean_of(around.background);
+    apart = mean_of(around.thing) - background;
     const float squared = sum_of(apart * apart);
     if (!(squared > 0) || !std::isfinite(squared)) return;
     per_squared = 1 / squared;
-    trust = squared / (squared + kTrust * (around.thing.variance() + around.background.variance()));
+    trust =
+        squared / (squared + kTrust * (variance_of(around.thing) + variance_of(around.background)));
   }
 
   // Cover and fringe of a pixel that depth alone says is covered so far.
@@ -103,8 +90,12 @@ struct TwoColours {
 // Which pixels may lie on an edge: where within the radius some are covered and some are not.
 class EdgeBand {
  public:
-  EdgeBand(const Silhouettes& in, const compositor::Rect& area)
-      : area_(area), radius_(static_cast<int>(std::ceil(in.blur_px))) {
+  EdgeBand(const Silhouettes& in, const compositor::Rect& area, EdgeScratch& scratch)
+      : area_(area),
+        radius_(static_cast<int>(std::ceil(in.blur_px))),
+        mask_(scratch.mask),
+        sums_(scratch.sums),
+        covered_(scratch.covered) {
     load_mask(in.distance_m);
     count_covered();
   }
@@ -148,22 +139,22 @@ class EdgeBand {
                wide = static_cast<std::size_t>(columns());
     const std::size_t across = static_cast<std::size_t>(2 * radius_ + 1);
     covered_.resize(width * static_cast<std::size_t>(area_.height()));
-    std::vector<std::uint16_t> sums(wide, 0);
+    sums_.assign(wide, 0);
     const auto add = [&](std::size_t row, int sign) {
       const std::uint8_t* const from = &mask_[row * wide];
       for (std::size_t x = 0; x < wide; ++x)
-        sums[x] = static_cast<std::uint16_t>(sums[x] + sign * from[x]);
+        sums_[x] = static_cast<std::uint16_t>(sums_[x] + sign * from[x]);
     };
     for (std::size_t row = 0; row + 1 < across; ++row) add(row, 1);
     for (std::size_t y = 0; y < static_cast<std::size_t>(area_.height()); ++y) {
       add(y + across - 1, 1);
       std::uint16_t* const to = &covered_[y * width];
       int sum = 0;
-      for (std::size_t x = 0; x + 1 < across; ++x) sum += sums[x];
+      for (std::size_t x = 0; x + 1 < across; ++x) sum += sums_[x];
       for (std::size_t x = 0; x < width; ++x) {
-        sum += sums[x + across - 1];
+        sum += sums_[x + across - 1];
         to[x] = static_cast<std::uint16_t>(sum);
-        sum -= sums[x];
+        sum -= sums_[x];
       }
       add(y, -1);
     }
@@ -171,8 +162,8 @@ class EdgeBand {
 
   compositor::Rect area_;
   int radius_;
-  std::vector<std::uint8_t> mask_;
-  std::vector<std::uint16_t> covered_;
+  std::vector<std::uint8_t>& mask_;
+  std::vector<std::uint16_t>&sums_, &covered_;
 };
 
 // Blocks of pixels as large as an edge is uncertain.
@@ -194,8 +185,13 @@ struct Blocks {
     const int i = static_cast<int>(block) % columns, j = static_cast<int>(block) / columns;
     EdgeBlock out;
     for (int v = std::max(j - 1, 0); v <= std::min(j + 1, rows - 1); ++v)
-      for (int u = std::max(i - 1, 0); u <= std::min(i + 1, columns - 1); ++u)
-        out += blocks[static_cast<std::size_t>(v * columns + u)];
+      for (int u = std::max(i - 1, 0); u <= std::min(i + 1, columns - 1); ++u) {
+        const EdgeBlock& b = blocks[static_cast<std::size_t>(v * columns + u)];
+        add(out.thing, b.thing);
+        add(out.background, b.background);
+        out.nearest_m = std::min(out.nearest_m, b.nearest_m);
+        out.has_edge |= b.has_edge;
+      }
     return out;
   }
 };
@@ -209,48 +205,61 @@ void for_pixels(const compositor::Foreground& f, const compositor::Rect& r, cons
   }
 }
 
-template <class Pixel>
-void find_cover_in(const Silhouettes& in, const Signal<Pixel>& signal, const Vignetting& vignetting,
-                   compositor::Foreground& out) {
-  const EdgeBand band(in, out.area);
-  const Blocks grid{out.area, 2 * band.radius() + 2};
-  std::vector<EdgeBlock> blocks(grid.count());
+// Of a mask, 0..1; 0 without.
+float mask_at(const Silhouettes& in, int x, int y) {
+  return in.has_mask ? in.cover.at(x, y) : 0;
+}
+
+// What pixels say that are on no edge, and which blocks have one.
+void load_blocks(const Silhouettes& in, const EdgeBand& band, const Blocks& grid,
+                 std::vector<EdgeBlock>& blocks, compositor::Foreground& out) {
+  blocks.assign(grid.count(), {});
   for (std::size_t b = 0; b < blocks.size(); ++b)
     for_pixels(out, grid.rect(b), [&](std::size_t i, int x, int y) {
       const bool thing = band.is_thing(i);
-      out.distance_m[i] = in.distance_m.at(x, y);
-      const float mask = in.cover.empty() ? 0 : in.cover.at(x, y);
-      out.cover[i] = {0, 0, 0, mask > 0 ? mask : thing ? 1 : 0};
-      blocks[b].nearest_m = std::min(blocks[b].nearest_m, out.distance_m[i]);
+      const float mask = mask_at(in, x, y), distance = in.distance_m.at(x, y);
+      // A mask is in front of everything, also where it is thin.
+      const float nowhere = mask > 0 ? 0 : compositor::Foreground::kNowhere_m;
+      out.distance_m[i] = std::min(distance, nowhere);
+      out.cover[i] = {0, 0, 0, thing ? 1 : mask};
+      blocks[b].nearest_m = std::min(blocks[b].nearest_m, distance);
       blocks[b].has_edge |= !thing && !band.is_background(i);
     });
-  std::vector<bool> edges(blocks.size()), near_edge(blocks.size());
-  for (std::size_t b = 0; b < blocks.size(); ++b) {
-    edges[b] = blocks[b].has_edge;
-    near_edge[b] = grid.around(blocks, b).has_edge;
-  }
   for (std::size_t b = 0; b < blocks.size(); ++b)
-    if (near_edge[b])
+    blocks[b].near_edge = grid.around(blocks, b).has_edge;
+}
+
+template <class Pixel>
+void find_cover_in(const Silhouettes& in, const Signal<Pixel>& signal, const Vignetting& vignetting,
+                   EdgeScratch& scratch, compositor::Foreground& out) {
+  const EdgeBand band(in, out.area, scratch);
+  const Blocks grid{out.area, 2 * band.radius() + 2};
+  std::vector<EdgeBlock>& blocks = scratch.blocks;
+  load_blocks(in, band, grid, blocks, out);
+  for (std::size_t b = 0; b < blocks.size(); ++b)
+    if (blocks[b].near_edge)
       for_pixels(out, grid.rect(b), [&](std::size_t i, int x, int y) {
         const Rgb here = signal.at(x, y);
         if (!std::isfinite(sum_of(here))) return;
-        if (band.is_thing(i)) blocks[b].thing.add(here);
-        if (band.is_background(i)) blocks[b].background.add(here);
+        if (band.is_thing(i)) add(blocks[b].thing, here);
+        if (band.is_background(i)) add(blocks[b].background, here);
       });
   for (std::size_t b = 0; b < blocks.size(); ++b) {
-    if (!edges[b]) continue;
+    if (!blocks[b].has_edge) continue;
     const TwoColours colours(grid.around(blocks, b));
     for_pixels(out, grid.rect(b), [&](std::size_t i, int x, int y) {
       if (band.is_thing(i) || band.is_background(i)) return;
-      const float mask = in.cover.empty() ? 0 : in.cover.at(x, y);
-      glm::vec4 c = colours.mixture(signal.at(x, y), mask > 0 ? mask : band.by_depth(i));
+      const float mask = mask_at(in, x, y);
+      const float plain = in.has_depth ? std::max(mask, band.by_depth(i)) : mask;
+      glm::vec4 c = colours.mixture(signal.at(x, y), plain);
       // The lens is put on all that is drawn, and the picture has it already.
       if (!vignetting.none()) {
         const auto left = static_cast<float>(vignetting.at({x + .5, y + .5}));
         c = {c.r / left, c.g / left, c.b / left, c.a};
       }
       out.cover[i] = c;
-      if (!(out.distance_m[i] < Silhouettes::kNothing)) out.distance_m[i] = colours.nearest_m;
+      if (out.distance_m[i] == compositor::Foreground::kNowhere_m)
+        out.distance_m[i] = colours.nearest_m;
     });
   }
 }
@@ -258,7 +267,7 @@ void find_cover_in(const Silhouettes& in, const Signal<Pixel>& signal, const Vig
 }  // namespace
 
 void find_cover(const Silhouettes& silhouettes, const FramePixels& picture,
-                const ResponseTable* curve, const Vignetting& vignetting,
+                const ResponseTable* curve, const Vignetting& vignetting, EdgeScratch& scratch,
                 compositor::Foreground& out) {
   const int rim = 2 * static_cast<int>(std::ceil(silhouettes.blur_px)) + 2;
   const compositor::Rect& a = silhouettes.area;
@@ -271,7 +280,7 @@ void find_cover(const Silhouettes& silhouettes, const FramePixels& picture,
   out.distance_m.resize(pixels);
   std::visit(
       [&]<class Pixel>(const Image<Pixel>& p) {
-        find_cover_in(silhouettes, Signal<Pixel>(p, curve), vignetting, out);
+        find_cover_in(silhouettes, Signal<Pixel>(p, curve), vignetting, scratch, out);
       },
       picture);
 }

@@ -7,6 +7,7 @@
 #include <deque>
 #include <limits>
 #include <mutex>
+#include <ranges>
 #include <thread>
 #include <utility>
 #include <vector>
@@ -124,8 +125,13 @@ class Replay {
   // View frames that wait are composited with what was in front of them.
   Result<void> add_foreground(const capture::Frame& frame) {
     if (waiting_.empty()) return compose_.add_foreground(frame);
-    // Of several before the next view frame the newest counts.
-    if (waiting_.back().camera == frame.camera) waiting_.pop_back();
+    // Of several before the next view frame each camera's newest counts.
+    const auto since = std::ranges::find_if(waiting_ | std::views::reverse, [&](const auto& f) {
+                         return is_view(source_, f);
+                       }).base();
+    const auto older = std::ranges::remove(std::ranges::subrange(since, waiting_.end()),
+                                           frame.camera, &capture::Frame::camera);
+    waiting_.erase(older.begin(), older.end());
     waiting_.push_back(frame);
     return {};
   }
@@ -133,10 +139,11 @@ class Replay {
   Result<void> add_view(const capture::Frame& frame) {
     constexpr std::size_t kMaxWaiting = 16, kMaxPixels = 64'000'000;
     waiting_.push_back(frame);
-    const std::size_t pixels =
-        std::visit([](const auto& p) { return p.area(); }, *frame.pixels) * waiting_.size();
-    const auto views = static_cast<std::size_t>(std::ranges::count_if(
-        waiting_, [&](const capture::Frame& f) { return is_view(source_, f); }));
+    std::size_t pixels = 0, views = 0;
+    for (const capture::Frame& f : waiting_) {
+      pixels += std::visit([](const auto& p) { return p.area(); }, *f.pixels);
+      views += is_view(source_, f);
+    }
     const bool wait = !light_.ready() && views < kMaxWaiting && pixels < kMaxPixels;
     return wait ? Result<void>{} : compose_waiting();
   }

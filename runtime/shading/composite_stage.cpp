@@ -211,8 +211,8 @@ void CompositeStage::place_objects(double seconds) {
 }
 
 // What passes between objects and the lights, where new depth tells of it.
-void CompositeStage::update_passing(double seconds) {
-  if (!foreground_.any()) return;
+void CompositeStage::update_passing(bool any_lights, double seconds) {
+  if (!foreground_.any() || !any_lights) return;
   const TimestampNs time{std::llround(1e9 * seconds)};
   const bool old = lights_.any_passing() && !foreground_.tells_of(time);
   if (foreground_.depth_frames() == depth_frames_seen_ && !old) return;
@@ -271,7 +271,7 @@ bool CompositeStage::shade(const lighting::LightEstimate& light, double seconds,
   }
   planes_.update(light);
   floor_radiance_ = radiance_of_floor(scene_, planes_.irradiance());
-  update_passing(seconds);
+  update_passing(!light.lights.empty(), seconds);
   bool lights_changed = update_distant_lights(light), lamps_changed = false;
   if (mirrored_.any()) {
     const StageTimer timer(times_, "reflections");
@@ -578,10 +578,13 @@ void fade(const FramePixels& camera, float opacity, FramePixels& out) {
 std::shared_ptr<const compositor::Foreground> CompositeStage::foreground_of(
     const capture::Frame& frame, const ViewCamera& camera, const ResponseTable* curve) {
   if (!foreground_.any()) return nullptr;
+  const calib::CameraModel& p = camera.info.projection;
+  // The compositor refuses it.
+  if (capture::width(*frame.pixels) != p.width || capture::height(*frame.pixels) != p.height)
+    return nullptr;
   const StageTimer timer(times_, "foreground");
-  return foreground_.in_front_of(
-      frame, {camera.info.projection, camera.lens.get(), curve, camera.vignetting},
-      lights_.spheres());
+  return foreground_.in_front_of(frame, {p, camera.lens.get(), curve, camera.vignetting},
+                                 lights_.spheres());
 }
 
 compositor::View CompositeStage::view_of(const capture::Frame& frame) {

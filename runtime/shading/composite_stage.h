@@ -110,6 +110,8 @@ class CompositeStage {
   /// for a quarter of a second.
   /// errors: as ForegroundStage::add
   Result<void> add_foreground(const capture::Frame& frame) { return foreground_.add(frame); }
+  /// Of the same cameras, with another scene: what stands in front of that one's next frame stands
+  /// in front of this one's.
   void go_on_from(const CompositeStage& before) { foreground_.go_on_from(before.foreground_); }
   compositor::Compositor& output() { return *compositor_; }
   /// From then on another thread may use it, the only one then.
@@ -241,7 +243,7 @@ class CompositeStage {
   Rgb lost_at(std::size_t point, const RadianceSh& sky) const;
   bool move_objects();
   void place_objects(double seconds);
-  void update_passing(double seconds);
+  void update_passing(bool any_lights, double seconds);
   bool update_distant_lights(const lighting::LightEstimate& light);
   bool relight_objects(const lighting::LightEstimate& light, bool all_changed, bool other_form);
   bool update_object(std::size_t index, const std::vector<Pose>& poses,

@@ -229,6 +229,11 @@ TEST(RigFile, ADepthCameraKeepsItsOwnExposure) {
   EXPECT_EQ(cameras->front().info.depth_unit_m, 1e-4);
   EXPECT_EQ(cameras->front().settings.format, "Z16");
   EXPECT_FALSE(cameras->front().settings.stop_automatics);
+  write(folder.path() / "rig.toml", camera + "format = \"YUYV\"\n");
+  const auto no_depth = read_rig_cameras(folder.path() / "rig.toml");
+  ASSERT_FALSE(no_depth);
+  EXPECT_NE((no_depth.error().where + no_depth.error().detail).find("format: is neither Z16"),
+            std::string::npos);
   for (const std::string key : {"exposures_s", "gains", "light_error", "white_balance_k",
                                 "unit_gain", "response", "black_level"}) {
     write(folder.path() / "rig.toml", camera + key + " = 1\n");

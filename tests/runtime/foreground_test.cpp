@@ -443,6 +443,67 @@ TEST(HandInFront, NoisyDepthOfTheTableHidesNoShadow) {
   EXPECT_LT(covered, .0005 * kHandView.width * kHandView.height);
 }
 
+// Segmentation is never quite black, and says nothing against depth.
+TEST(HandInFront, AFaintMaskLeavesWhatDepthKnows) {
+  const Filmed filmed(HandWorld::usual());
+  std::vector<capture::CameraInfo> cameras = filmed.cameras;
+  cameras.push_back(camera_of("mask", capture::Role::kMask, pinhole(64, 48, 56), {}));
+  auto stage = ForegroundStage::create(cameras, {&kTable, 1});
+  ASSERT_TRUE(stage);
+  ASSERT_TRUE(stage->add(filmed.depth));
+  const auto find = [&] {
+    return stage->in_front_of(filmed.view, {kHandView, nullptr, nullptr, kNoVignetting}, kNearBall);
+  };
+  const auto alone = find();
+  ASSERT_NE(alone, nullptr);
+  ASSERT_TRUE(stage->add(frame_of(2, Image<Rgb8>(64, 48, Rgb8{1, 1, 1}), {})));
+  const auto both = find();
+  ASSERT_NE(both, nullptr);
+  double apart = 0;  // blocks of colours lie elsewhere in a larger area
+  for (int y = 0; y < kHandView.height; ++y)
+    for (int x = 0; x < kHandView.width; ++x) {
+      const float now = cover_in(*both, x, y), before = cover_in(*alone, x, y);
+      if (before == 1) {
+        ASSERT_GT(now, .9f) << x << " " << y;
+      }
+      apart += std::abs(double(now) - double(before));
+      ASSERT_TRUE(std::isfinite(both->distance_m[both->index(x, y)]));
+    }
+  EXPECT_LT(apart / (kHandView.width * kHandView.height), .005);
+}
+
+// A mask's thin parts, hair and glass, hide as much as it says, however far from its solid ones.
+TEST(HandInFront, AThinMaskHidesInPart) {
+  std::vector<capture::CameraInfo> cameras = Filmed(HandWorld::usual()).cameras;
+  cameras[kDepth].role = capture::Role::kMask;
+  auto stage = ForegroundStage::create(cameras, {});
+  ASSERT_TRUE(stage);
+  Image<Rgb8> mask(kDepthCamera.width, kDepthCamera.height, Rgb8{102, 102, 102});
+  for (int y = 0; y < 40; ++y)
+    for (int x = 0; x < 40; ++x) mask.at(x, y) = {255, 255, 255};
+  ASSERT_TRUE(stage->add(frame_of(kDepth, mask, {})));
+  const Image<Rgb> grey(kHandView.width, kHandView.height, {.3f, .3f, .3f});
+  const auto found = stage->in_front_of(frame_of(kViewCamera, grey, {}),
+                                        {kHandView, nullptr, nullptr, kNoVignetting}, kNearBall);
+  ASSERT_NE(found, nullptr);
+  EXPECT_EQ(cover_in(*found, 20, 20), 1);
+  for (const int x : {100, 300, 600}) {
+    EXPECT_NEAR(cover_in(*found, x, 400), .4f, .002f) << x;
+    EXPECT_EQ(found->distance_m[found->index(x, 400)], 0) << x;
+  }
+}
+
+TEST(HandInFront, AViewFrameOfAnotherSizeIsRefused) {
+  Chain chain;
+  NEED_CHAIN(chain);
+  ASSERT_TRUE(chain.pipeline->add_foreground(chain.filmed.depth));
+  const auto refused = chain.pipeline->composite(
+      frame_of(kViewCamera, Image<Rgb>(320, 240, {.3f, .3f, .3f}), HandWorld::view()));
+  ASSERT_FALSE(refused);
+  EXPECT_EQ(refused.error().where, "frame");
+  EXPECT_EQ(refused.error().detail, "has 320x240 pixels instead of 640x480");
+}
+
 TEST(HandInFront, BadInputIsNamed) {
   std::vector<capture::CameraInfo> cameras = Filmed(HandWorld::usual()).cameras;
   auto stage = ForegroundStage::create(cameras, {});
@@ -457,7 +518,7 @@ TEST(HandInFront, BadInputIsNamed) {
             "depth has a frame of 240x320 pixels instead of 320x240");
   EXPECT_EQ(refused(frame_of(kViewCamera, Image<Rgb16>(320, 240, Rgb16{}), {})),
             "frame belongs to no depth camera and no mask");
-  // No depth at all, and depth of nothing but noise, are no failures.
+  // No depth at all is no failure.
   EXPECT_EQ(refused(frame_of(kDepth, Image<Rgb16>(320, 240, Rgb16{}), {})), "taken");
   cameras[kDepth].projection = *calib::make_projection(calib::ProjectionKind::kEquidistant, 64, 64);
   const auto wide = ForegroundStage::create(cameras, {});

@@ -56,7 +56,7 @@ Result<json> inspect_capture(const std::string& path, const char* kind) {
   json cameras = json::array();
   for (const capture::CameraInfo& c : source->cameras()) {
     json& camera = cameras.emplace_back(to_json(c));
-    camera["response"] = c.response.describe();
+    if (capture::sees_light(c.role)) camera["response"] = c.response.describe();
     camera["frames"] = 0;
   }
   for (;;) {

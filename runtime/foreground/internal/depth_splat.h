@@ -29,11 +29,13 @@ struct DepthRays {
 /// What covers a view's pixels.
 struct Silhouettes {
   static constexpr float kNothing = std::numeric_limits<float>::infinity();
+  static constexpr float kMaxBlur_px = 30;
 
   Image<float> distance_m;  // kNothing where nothing is in front
-  Image<float> cover;       // 0..1, of masks; empty without
-  compositor::Rect area;    // of all that is covered
-  float blur_px = 0;        // how far an edge may lie off: at most 30
+  Image<float> cover;       // 0..1, of masks, where there is one
+  bool has_mask = false, has_depth = false;
+  compositor::Rect area;  // of all that is covered
+  float blur_px = 0;      // how far an edge may lie off
 
   void reset(int width, int height);
 };
