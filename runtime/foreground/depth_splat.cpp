@@ -133,29 +133,58 @@ void project(const SplatView& view, const Pose& view_from_depth, const DepthFron
   }
 }
 
-// `distance_m` as project() gives it.
-float from_eye_m(const SplatView& view, float x_px, float y_px, float distance_m) {
-  if (view.lens) return distance_m;
-  const glm::vec2 slope = (glm::vec2(x_px, y_px) - glm::vec2(view.camera.principal_px)) /
-                          glm::vec2(view.camera.focal_px);
-  return distance_m * std::sqrt(1 + glm::dot(slope, slope));
-}
+// Whether a point that project() gave is farther from the eye than anything that it could hide.
+class Beyond {
+ public:
+  explicit Beyond(const SplatView& view)
+      : through_lens_(view.lens != nullptr),
+        principal_(view.camera.principal_px),
+        per_focal_(1. / view.camera.focal_px),
+        max_squared_(view.max_distance_m * view.max_distance_m) {}
 
-void cover_square(float x_px, float y_px, float distance_m, float half_px, Silhouettes& out) {
-  Image<float>& distance = out.distance_m;
-  // The first pixel whose centre is not before v; casts round down what is above 0.
-  const auto from = [](float v, int size) {
-    return static_cast<int>(std::clamp(v + .5f, 0.f, static_cast<float>(size)));
-  };
-  const int width = distance.width(), height = distance.height();
-  const int x0 = from(x_px - half_px, width), x1 = from(x_px + half_px, width),
-            y0 = from(y_px - half_px, height), y1 = from(y_px + half_px, height);
-  for (int y = y0; y < y1; ++y) {
-    float* const row = &distance.at(0, y);
-    for (int x = x0; x < x1; ++x) row[x] = std::min(row[x], distance_m);
+  bool operator()(float x_px, float y_px, float distance_m) const {
+    const glm::vec2 slope = (glm::vec2(x_px, y_px) - principal_) * per_focal_;
+    const float stretch = through_lens_ ? 1 : 1 + glm::dot(slope, slope);
+    return distance_m * distance_m * stretch > max_squared_;
   }
-  if (x0 < x1 && y0 < y1) out.area = compositor::united(out.area, {x0, y0, x1, y1});
-}
+
+ private:
+  bool through_lens_;
+  glm::vec2 principal_, per_focal_;
+  float max_squared_;
+};
+
+// Squares of a view's picture, each with its distance.
+class Squares {
+ public:
+  explicit Squares(Image<float>& distance_m) : distance_m_(distance_m) {}
+
+  void cover(float x_px, float y_px, float side_px, float distance_m) {
+    const float half = .5f * side_px;
+    const int width = distance_m_.width(), height = distance_m_.height();
+    const int x0 = from(x_px - half, width), x1 = from(x_px + half, width),
+              y0 = from(y_px - half, height), y1 = from(y_px + half, height);
+    for (int y = y0; y < y1; ++y) {
+      float* const row = &distance_m_.at(0, y);
+      for (int x = x0; x < x1; ++x) row[x] = std::min(row[x], distance_m);
+    }
+    if (x0 >= x1 || y0 >= y1) return;
+    x0_ = std::min(x0_, x0), x1_ = std::max(x1_, x1);
+    y0_ = std::min(y0_, y0), y1_ = std::max(y1_, y1);
+  }
+  compositor::Rect area() const {
+    return x0_ < x1_ ? compositor::Rect{x0_, y0_, x1_, y1_} : compositor::Rect{};
+  }
+
+ private:
+  // The first pixel whose centre is not before v; casts round down what is above 0.
+  static int from(float v, int size) {
+    return static_cast<int>(std::clamp(v + .5f, 0.f, static_cast<float>(size)));
+  }
+
+  Image<float>& distance_m_;
+  int x0_ = std::numeric_limits<int>::max(), y0_ = x0_, x1_ = 0, y1_ = 0;
+};
 
 // Cracks of a pixel between splats.
 void close_cracks(Silhouettes& out) {
@@ -216,23 +245,27 @@ void splat_depth(const DepthFront& front, const DepthRays& rays, const SplatView
   constexpr float kMaxSide_px = 40, kMaxBlur_px = Silhouettes::kMaxBlur_px;
   const Pose view_from_depth = view.world_from_camera.inverse() * front.world_from_camera;
   const float scale = static_cast<float>(view.camera.focal_px.x) / rays.focal_px;
-  double squares = 0, cubes = 0;  // of all sides
+  const Beyond beyond(view);
+  Squares squares(out.distance_m);
+  double areas = 0, volumes = 0;  // of all sides
   for (int y = front.area.y0; y < front.area.y1; ++y) {
     project(view, view_from_depth, front, rays, y, scratch);
     const auto row = front.depth_m.row(y).subspan(static_cast<std::size_t>(front.area.x0));
+    float row_areas = 0, row_volumes = 0;
     for (std::size_t i = 0; i < scratch.distance_m.size(); ++i) {
-      const float w = scratch.distance_m[i];
-      if (!(w > 0)) continue;
-      if (from_eye_m(view, scratch.x_px[i], scratch.y_px[i], w) > view.max_distance_m) continue;
-      const float side = std::min(scale * row[i] / w, kMaxSide_px);
-      squares += double(side * side), cubes += double(side * side * side);
-      cover_square(scratch.x_px[i], scratch.y_px[i], w, .5f * kOverlap * side, out);
+      const float x = scratch.x_px[i], y_px = scratch.y_px[i], w = scratch.distance_m[i];
+      if (!(w > 0) || beyond(x, y_px, w)) continue;
+      const float side = std::min(scale * row[i] / w, kMaxSide_px), area = side * side;
+      row_areas += area, row_volumes += area * side;
+      squares.cover(x, y_px, kOverlap * side, w);
     }
+    areas += double(row_areas), volumes += double(row_volumes);
   }
+  out.area = compositor::united(out.area, squares.area());
   close_cracks(out);
   out.has_depth = true;
   // By area: a few near pixels make no edge uncertain but their own.
-  const float mean = squares > 0 ? static_cast<float>(cubes / squares) : 0;
+  const float mean = areas > 0 ? static_cast<float>(volumes / areas) : 0;
   out.blur_px = std::max(out.blur_px, std::min(kBlur * std::max(mean, 1.f), kMaxBlur_px));
 }
 
@@ -269,6 +302,7 @@ void lay_mask(const Image<Pixel>& mask, Silhouettes& out) {
   if (!out.has_mask) out.cover.reset(width, height, 0);
   out.has_mask = true;
   const double sx = double(mask.width()) / width, sy = double(mask.height()) / height;
+  bool solid = false;  // else there is no edge to look for
   std::vector<Between> columns;
   for (int x = 0; x < width; ++x) columns.push_back(between((x + .5) * sx, mask.width()));
   for (int y = 0; y < height; ++y) {
@@ -286,11 +320,12 @@ void lay_mask(const Image<Pixel>& mask, Silhouettes& out) {
               mix(fraction(below[c.at]), fraction(below[c.next]), c.part), rows.part);
       if (!(here > 0)) continue;
       cover[i] = std::max(cover[i], here);
-      if (here >= .5f) distance[i] = 0;
+      if (here >= .5f) distance[i] = 0, solid = true;
       first = std::min(first, x), last = x;
     }
     if (last >= first) out.area = compositor::united(out.area, {first, y, last + 1, y + 1});
   }
+  if (!solid) return;
   const auto blur = static_cast<float>(1.5 / std::min({sx, sy, 1.}));
   out.blur_px = std::max(out.blur_px, std::min(blur, Silhouettes::kMaxBlur_px));
 }

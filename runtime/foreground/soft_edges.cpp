@@ -9,7 +9,7 @@ namespace penumbra::runtime {
 
 namespace {
 
-using Side = EdgeScratch::Side;
+using EdgeSide = EdgeScratch::EdgeSide;
 using EdgeBlock = EdgeScratch::EdgeBlock;
 
 // Linear signal of one kind of pixel.
@@ -35,21 +35,21 @@ float sum_of(const Rgb& v) {
   return v.r + v.g + v.b;
 }
 
-void add(Side& side, const Rgb& c) {
+void add(EdgeSide& side, const Rgb& c) {
   ++side.count;
   side.sum += c;
   side.squares += c * c;
 }
-void add(Side& side, const Side& o) {
+void add(EdgeSide& side, const EdgeSide& o) {
   side.count += o.count;
   side.sum += o.sum;
   side.squares += o.squares;
 }
-Rgb mean_of(const Side& side) {
+Rgb mean_of(const EdgeSide& side) {
   return side.sum * (1 / side.count);
 }
 // Of a pixel, over all channels.
-float variance_of(const Side& side) {
+float variance_of(const EdgeSide& side) {
   const Rgb m = mean_of(side);
   return std::max(sum_of(side.squares) / side.count - sum_of(m * m), 0.f);
 }

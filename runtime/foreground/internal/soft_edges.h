@@ -16,12 +16,12 @@ namespace penumbra::runtime {
 /// Keeps its room from frame to frame.
 struct EdgeScratch {
   /// Colours of one side of an edge, within a block of pixels.
-  struct Side {
+  struct EdgeSide {
     float count = 0;
     Rgb sum, squares;
   };
   struct EdgeBlock {
-    Side thing, background;
+    EdgeSide thing, background;
     float nearest_m = Silhouettes::kNothing;
     bool has_edge = false, near_edge = false;
   };
