@@ -154,10 +154,10 @@ class Beyond {
   float max_squared_;
 };
 
-// Squares of a view's picture, each with its distance.
-class Squares {
+// Fills squares of a view's picture, each with its distance.
+class SquareFiller {
  public:
-  explicit Squares(Image<float>& distance_m) : distance_m_(distance_m) {}
+  explicit SquareFiller(Image<float>& distance_m) : distance_m_(distance_m) {}
 
   void cover(float x_px, float y_px, float side_px, float distance_m) {
     const float half = .5f * side_px;
@@ -246,7 +246,7 @@ void splat_depth(const DepthFront& front, const DepthRays& rays, const SplatView
   const Pose view_from_depth = view.world_from_camera.inverse() * front.world_from_camera;
   const float scale = static_cast<float>(view.camera.focal_px.x) / rays.focal_px;
   const Beyond beyond(view);
-  Squares squares(out.distance_m);
+  SquareFiller squares(out.distance_m);
   double areas = 0, volumes = 0;  // of all sides
   for (int y = front.area.y0; y < front.area.y1; ++y) {
     project(view, view_from_depth, front, rays, y, scratch);
