@@ -13,8 +13,10 @@ install(DIRECTORY ${penumbra_header_rooms}
         PATTERN capture/watch EXCLUDE PATTERN contradiction.h EXCLUDE
         PATTERN compositor/layers EXCLUDE PATTERN compositor/pixels EXCLUDE
         PATTERN compositor/projection.h EXCLUDE PATTERN compositor/view_lens.h EXCLUDE
+        PATTERN compositor/foreground.h EXCLUDE PATTERN runtime/foreground EXCLUDE
         PATTERN runtime/studio EXCLUDE PATTERN runtime/surroundings EXCLUDE
         PATTERN runtime/direct EXCLUDE PATTERN runtime/governor EXCLUDE
+        PATTERN runtime/scene/depth_mesh.h EXCLUDE
         REGEX "runtime/shading/(composite_stage|floor_recovery|mirrored_surroundings)\\.h$" EXCLUDE
         REGEX "runtime/pipeline/(runner|stage_access|light_estimation_stage)\\.h$" EXCLUDE)
 # Installed headers include each other as <penumbra/...>: a program may have a core/result.h too.
