@@ -265,7 +265,8 @@ void trace_vertices(const VertexTracer& tracer, const Caster& object,
 // Vertices of which the map is not all that there is to know: rays find what else stands between.
 // What the object itself keeps dark stays so.
 void trace_among_others(const VertexTracer& tracer, const prt::Mesh& mesh,
-                        const CastersBetween& others, int samples, int smoothing, Sums& sums) {
+                        const lighting::DistantLight& source, const CastersBetween& others,
+                        int samples, bool averaged, Sums& sums) {
   thread_local std::vector<std::uint32_t> reached;  // grow once per thread
   thread_local Sums shared;
   reached.clear();
@@ -274,11 +275,24 @@ void trace_among_others(const VertexTracer& tracer, const prt::Mesh& mesh,
   if (reached.empty()) return;
   for (const std::uint32_t i : reached) sums[i] = {};
   tracer.trace(reached, 0, static_cast<std::size_t>(samples), sums);
-  if (smoothing == 0) return;
+  if (!averaged) return;
   // What is looked up has no noise that neighbours could share.
   shared = sums;
-  smooth_over_neighbours(mesh, smoothing, shared);
+  smooth_noise_over_neighbours(mesh, source, samples, shared);
   for (const std::uint32_t i : reached) sums[i] = shared[i];
+}
+
+// Sums of cosines of what is hidden, each beside those of all.
+void smooth_occlusion(const prt::Mesh& mesh, const lighting::DistantLight& source, int samples,
+                      DirectLightAtVertices& out) {
+  thread_local Sums sums;  // grows once per thread
+  sums.resize(out.open.size());
+  for (auto* occlusion : {&out.virtual_occlusion, &out.real_occlusion}) {
+    for (std::size_t i = 0; i < sums.size(); ++i) sums[i] = {(*occlusion)[i], out.open[i]};
+    smooth_noise_over_neighbours(mesh, source, samples, sums);
+    for (std::size_t i = 0; i < sums.size(); ++i) (*occlusion)[i] = sums[i].seen;
+  }
+  for (std::size_t i = 0; i < sums.size(); ++i) out.open[i] = sums[i].open;
 }
 
 }  // namespace
@@ -307,17 +321,16 @@ void trace_direct_light(const RayOccluders& occluders, const ShadowCasters& cast
     if (cut) pattern.keep_before(*plane);
   }
   const VertexTracer tracer(occluders, mesh, object.world_from_mesh, plane, pattern);
-  const int smoothing = averaged ? smoothing_passes(source) : 0;
   if (looked_up) {
     sums.resize(count);
     const int cells =
         use == LookupUse::kCoarse ? prt::VisibilityMap::kCells : prt::VisibilityMap::kFineCells;
     look_up(object, plane, source, cells, sums);
-    if (others.any()) trace_among_others(tracer, mesh, others, samples, smoothing, sums);
+    if (others.any()) trace_among_others(tracer, mesh, source, others, samples, averaged, sums);
   } else {
     sums.assign(count, {});
     trace_vertices(tracer, object, source, others, use, samples, {tracer, averaged, sums}, sums);
-    smooth_over_neighbours(mesh, smoothing, sums);
+    if (averaged) smooth_noise_over_neighbours(mesh, source, samples, sums);
   }
   // What is behind the plane is in neither sum.
   std::array<glm::vec3, kMaxSamples> memory;
@@ -364,9 +377,7 @@ void trace_direct_light_at_vertices(const RayOccluders& occluders, const prt::Me
       }
     }
   });
-  if (is_wide(source) && !hard)
-    for (auto* sums : {&out.open, &out.virtual_occlusion, &out.real_occlusion})
-      smooth_over_neighbours(mesh, smoothing_passes(source), *sums);
+  if (is_wide(source) && !hard) smooth_occlusion(mesh, source, samples, out);
   all.make(source, std::max(samples, kOpenSamples), 1);
   const UnoccludedLight whole(all.at(0), glm::vec3(source.direction), glm::mat3(1), hard);
   parallel_for(std::size_t{0}, count, 1024, [&](const auto& part) {

@@ -34,7 +34,7 @@ void trace_direct_light(const RayOccluders& occluders, const ShadowCasters& cast
 struct DirectLightAtVertices {
   std::vector<float> open, virtual_occlusion, real_occlusion;
 };
-/// Under wide lights the light of neighbouring vertices is averaged, however long their edges are.
+/// Under wide lights neighbours are averaged as far as few rays explain what they differ by.
 /// in:      the mesh in the world frame; samples 1..64, one is the light's middle
 /// threads: reentrant, parallel inside
 void trace_direct_light_at_vertices(const RayOccluders& occluders, const prt::Mesh& mesh,

@@ -342,6 +342,25 @@ class Bake(CliTest):
         self.assertEqual(len({row["coder"] for row in rows}), 6)
         self.assertTrue((out / "rate-distortion.csv").stat().st_size > 0)
 
+    def test_ways_to_trace_a_light_are_charted(self):
+        out = self.root / "ways"
+        rows = self.run_json("chart", "--direct-light", "--asset", "builtin:walker", "--out", out)["rows"]
+        radii = {row["light_radius_deg"] for row in rows}
+        self.assertEqual(len(radii), 4)
+        for radius in radii:
+            def errors(method):
+                return [row["irradiance_rel_rmse"] for row in rows
+                        if row["light_radius_deg"] == radius and row["method"] == method]
+            every, needed, cached = (errors(m) for m in ("rays at every vertex", "rays where needed",
+                                                         "cached visibility"))
+            self.assertEqual(every, sorted(every, reverse=True))  # more rays, less error
+            self.assertEqual(cached, sorted(cached))  # a larger error allowed
+            for i, error in enumerate(needed):
+                self.assertLess(error, 1.06 * every[i + 1] + .002, (radius, i))  # as many rays
+            self.assertLess(max(errors("visibility map")), .06)
+        self.assertIn("walker", (out / "direct-light.csv").read_text())
+        self.assertTrue((out / "direct-light.svg").stat().st_size > 1000)
+
     def test_lights_are_charted(self):
         out = self.root / "lights"
         with_sun = self.run_json("chart", "--asset", "builtin:box", "--bands", 5, "--max-lights", 2, "--error", 0.03,

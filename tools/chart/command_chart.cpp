@@ -202,18 +202,27 @@ void add_chart(CLI::App& parent, Action& action) {
               "Write camera, composite and truth of each case side by side, .exr")
       ->needs(sensor)
       ->group(kSensor);
+  CLI::Option* const direct_light =
+      c->add_flag("--direct-light", chart_options.direct_light,
+                  "Chart ways to trace one distant light at an object's vertices: error of the "
+                  "irradiance against time; by default of builtin:knot and builtin:walker")
+          ->excludes(governor)
+          ->excludes(sensor)
+          ->group("A light at vertices instead");
   CLI::Option* const light_track =
       c->add_flag("--light-track", chart_options.light_track,
                   "Chart bytes against the error of the light for several coders of the maps of a "
                   "recording's light track")
           ->excludes(governor)
           ->excludes(sensor)
+          ->excludes(direct_light)
           ->group("Coding of a light track instead");
   CLI::Option* const still =
       c->add_option("--still", chart_options.stills_charted,
                     "HDR pictures: chart their bytes against their errors for several coders")
           ->excludes(governor)
           ->excludes(sensor)
+          ->excludes(direct_light)
           ->excludes(light_track)
           ->group("Coding of HDR pictures instead");
   const char* const kClip = "Compression of a clip's transfer instead";
@@ -225,6 +234,7 @@ void add_chart(CLI::App& parent, Action& action) {
           ->check(not_empty)
           ->excludes(governor)
           ->excludes(sensor)
+          ->excludes(direct_light)
           ->excludes(light_track)
           ->excludes(still)
           ->group(kClip);
@@ -269,6 +279,7 @@ void add_chart(CLI::App& parent, Action& action) {
   add_json(c, chart_options.json);
   c->callback([&] {
     action = [] {
+      if (chart_options.direct_light) return chart_direct_light(chart_options);
       if (chart_options.light_track) return chart_light_track(chart_options);
       if (!chart_options.stills_charted.empty()) return chart_stills(chart_options);
       return chart_options.animation.empty() ? chart(chart_options) : chart_clip(chart_options);

@@ -1,0 +1,55 @@
+#include "shadows/visibility/internal/vertex_smoothing.h"
+
+#include <cmath>
+
+namespace penumbra::shadows {
+
+namespace {
+
+// Variances of visible fractions around a vertex, each with the weight of its open cosines.
+struct Variances {
+  float noise = 0;  // that its directions leave
+  float all = 0;    // about what its neighbours average
+  friend Variances operator+(Variances a, Variances b) {
+    return {a.noise + b.noise, a.all + b.all};
+  }
+  friend Variances operator-(Variances a, Variances b) {
+    return {a.noise - b.noise, a.all - b.all};
+  }
+};
+
+float fraction(const prt::CosineSums& s) {
+  return s.open > 0 ? s.seen / s.open : 0;
+}
+
+}  // namespace
+
+void smooth_noise_over_neighbours(const prt::Mesh& mesh, const lighting::DistantLight& source,
+                                  int directions, std::vector<prt::CosineSums>& sums) {
+  const int times = smoothing_passes(source);
+  thread_local std::vector<prt::CosineSums> around;  // grow once per thread
+  thread_local std::vector<Variances> variances;
+  around = sums;
+  smooth_over_neighbours(mesh, times, around);
+  variances.resize(sums.size());
+  const auto n = static_cast<float>(directions);
+  // Rays to a cap lie side by side; points of a form may come as they like.
+  const float scale = 1 / ((n - 1) * (source.shape.empty() ? std::sqrt(n) : 1));
+  for (std::size_t i = 0; i < sums.size(); ++i) {
+    const float own = fraction(sums[i]), off = own - fraction(around[i]);
+    variances[i] = {scale * sums[i].open * own * (1 - own), sums[i].open * off * off};
+  }
+  // Of one ring alone both are too uncertain.
+  smooth_over_neighbours(mesh, times + 1, variances);
+  for (std::size_t i = 0; i < sums.size(); ++i) {
+    if (sums[i].open <= 0) {  // all directions that it has are behind it
+      sums[i] = around[i];
+      continue;
+    }
+    const auto [noise, all] = variances[i];
+    const float mean = fraction(around[i]), kept = all > noise ? (all - noise) / all : 0;
+    sums[i].seen = sums[i].open * (mean + kept * (fraction(sums[i]) - mean));
+  }
+}
+
+}  // namespace penumbra::shadows

@@ -1,0 +1,258 @@
+// Error against time of ways to trace a distant light at an object's vertices.
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <functional>
+#include <glm/geometric.hpp>
+#include <map>
+#include <optional>
+
+#include "core/conventions.h"
+#include "core/io/files.h"
+#include "core/io/log.h"
+#include "core/threads/parallel.h"
+#include "prt/transfer/visibility_map.h"
+#include "runtime/governor/single_thread_time.h"
+#include "shadows/silhouette/light_rays.h"
+#include "shadows/visibility/direct_light.h"
+#include "tools/chart/benches/chart_bench.h"
+#include "tools/chart/chart_options.h"
+#include "tools/chart/light_chart.h"
+#include "tools/chart/peers/visibility_cache.h"
+#include "tools/chart/plots.h"
+#include "tools/common/print.h"
+#include "tools/common/progress.h"
+#include "tools/plots/gnuplot.h"
+#include "tools/runs/output.h"
+
+namespace penumbra::tools {
+
+namespace {
+
+constexpr std::array kRadii_deg = {.27, 1.7, 4., 15.};
+constexpr float kNear_m = 3e-5f;
+constexpr int kTimings = 7;
+
+struct DirectLightPoint {
+  std::string mesh;
+  double radius_deg = 0;
+  std::string method, setting;
+  double error = 0;  // relative RMSE of the irradiance over the surface
+  double ms = 0;     // of one light on one thread
+};
+
+lighting::DistantLight lamp(double radius_deg) {
+  constexpr double kElevation = .7, kAzimuth = .3;  // radians
+  lighting::DistantLight out;
+  out.direction = {std::cos(kElevation) * std::cos(kAzimuth), std::sin(kElevation),
+                   std::cos(kElevation) * std::sin(kAzimuth)};
+  out.radius = Radians{radius_deg * kPi / 180};
+  out.radiance = {1, 1, 1};
+  return out;
+}
+
+// An object alone, with all that ways to trace it need.
+class TracedObject {
+ public:
+  static Result<std::unique_ptr<TracedObject>> make(const std::string& asset) {
+    PENUMBRA_ASSIGN(scene, ChartScene::make(asset, kBakeRays));
+    const prt::BakedObject& baked = scene.prepared().objects.front().baked;
+    PENUMBRA_ASSIGN(cache, VisibilityCache::create(baked.mesh, kNear_m));
+    return std::unique_ptr<TracedObject>(new TracedObject(std::move(scene), std::move(cache)));
+  }
+
+  std::size_t vertices() const { return mesh().positions.size(); }
+
+  /// Mean cosines over the light, by a thousand rays a vertex.
+  std::vector<float> truth(const lighting::DistantLight& source) const {
+    constexpr std::size_t kTurnsUsed = 16;
+    constexpr auto kRays = static_cast<float>(kTurnsUsed * shadows::kMaxSamples);
+    shadows::SamplePattern pattern;
+    pattern.make(source, shadows::kMaxSamples, shadows::kTurns);
+    const shadows::RayOccluders rays = occluders();
+    std::vector<float> out(vertices());
+    parallel_for(std::size_t{0}, out.size(), 256, [&](const auto& part) {
+      shadows::Packets packets(rays, [&](std::size_t i, float cosine, bool hidden, bool) {
+        if (!hidden) out[i] += cosine / kRays;
+      });
+      for (std::size_t i = part.begin(); i < part.end(); ++i)
+        for (std::size_t turn = 0; turn < kTurnsUsed; ++turn)
+          for (const glm::vec3& d : pattern.at(turn * shadows::kTurns / kTurnsUsed))
+            if (const float cosine = glm::dot(mesh().normals[i], d); cosine > 0)
+              packets.add(i, cosine, mesh().positions[i] + kNear_m * mesh().normals[i], d);
+    });
+    return out;
+  }
+
+  using Tracing = std::function<void(const lighting::DistantLight&, std::span<float>)>;
+  struct NamedTracing {
+    std::string method, setting;
+    Tracing way;
+  };
+  std::vector<NamedTracing> ways() {
+    std::vector<NamedTracing> out;
+    for (const int n : {1, 2, 4, 8, 16})
+      out.push_back({"rays at every vertex", fmt::format("{} rays", n),
+                     [this, n](const auto& source, auto light) { trace_all(source, n, light); }});
+    for (const int n : {2, 4, 8, 16})
+      out.push_back(
+          {"rays where needed", fmt::format("{} rays", n),
+           [this, n](const auto& source, auto light) { trace(source, nullptr, n, light); }});
+    for (const int n : {2, 4, 8})
+      if (visibility_)
+        out.push_back({"visibility map", fmt::format("{} rays", n),
+                       [this, n](const auto& source, auto light) {
+                         trace(source, &*visibility_, n, light);
+                       }});
+    for (const float error : {.05f, .1f, .2f, .4f})
+      out.push_back({"cached visibility", fmt::format("error {}", error),
+                     [this, error](const auto& source, auto light) {
+                       cache_.light(source, 16, error, light);
+                     }});
+    return out;
+  }
+
+  /// RMS over the surface, relative to the truth's own.
+  double error(std::span<const float> light, std::span<const float> truth) const {
+    double off = 0, all = 0;
+    for (std::size_t i = 0; i < area_.size(); ++i) {
+      off += area_[i] * std::pow(double{light[i]} - truth[i], 2);
+      all += area_[i] * std::pow(double{truth[i]}, 2);
+    }
+    return std::sqrt(off / all);
+  }
+
+ private:
+  TracedObject(ChartScene scene, VisibilityCache cache)
+      : scene_(std::move(scene)),
+        cache_(std::move(cache)),
+        silhouette_(mesh()),
+        points_(mesh()),
+        area_(vertices()) {
+    points_.triangles.clear();
+    const prt::VisibilityMap& map = scene_.prepared().objects.front().baked.visibility;
+    if (!map.empty()) visibility_.emplace(map, mesh());
+    const auto& p = mesh().positions;
+    for (const auto& [a, b, c] : mesh().triangles) {
+      const double area = glm::length(glm::cross(p[b] - p[a], p[c] - p[a]));
+      for (const auto v : {a, b, c}) area_[v] += area;
+    }
+  }
+
+  const prt::Mesh& mesh() const { return scene_.prepared().objects.front().baked.mesh; }
+  shadows::RayOccluders occluders() const { return {&cache_.world(), nullptr, kNear_m}; }
+  void trace(const lighting::DistantLight& source, const prt::VisibilityLookup* visibility,
+             int rays, std::span<float> out) const {
+    const shadows::Caster caster{&mesh(), &silhouette_, {}, visibility};
+    shadows::trace_direct_light(occluders(), {{&caster, 1}, {}, kNear_m}, caster, nullptr, source,
+                                rays, out);
+  }
+
+  void trace_all(const lighting::DistantLight& source, int rays, std::span<float> out) const {
+    shadows::DirectLightAtVertices light;
+    shadows::trace_direct_light_at_vertices(occluders(), points_, source, rays, light);
+    std::ranges::transform(light.open, light.virtual_occlusion, out.begin(), std::minus());
+  }
+
+  ChartScene scene_;
+  VisibilityCache cache_;
+  shadows::SilhouetteMesh silhouette_;
+  std::optional<prt::VisibilityLookup> visibility_;
+  prt::Mesh points_;  // no triangles: each vertex for itself
+  std::vector<double> area_;
+};
+
+Result<std::vector<DirectLightPoint>> measure_ways(const std::vector<std::string>& assets) {
+  std::vector<DirectLightPoint> out;
+  for (const std::string& asset : assets) {
+    PENUMBRA_ASSIGN(object, TracedObject::make(asset));
+    const auto progress = progress_bar(asset);
+    std::vector<float> light(object->vertices());
+    for (std::size_t k = 0; k < kRadii_deg.size(); ++k) {
+      const lighting::DistantLight source = lamp(kRadii_deg[k]);
+      const std::vector<float> truth = object->truth(source);
+      for (const auto& [method, setting, way] : object->ways()) {
+        const auto time = runtime::time_single_threaded(kTimings, [&](int) { way(source, light); });
+        out.push_back(
+            {asset, kRadii_deg[k], method, setting, object->error(light, truth), time.p50_ms});
+      }
+      if (progress) progress(double(k + 1) / kRadii_deg.size());
+    }
+  }
+  return out;
+}
+
+std::string csv_of(const std::vector<DirectLightPoint>& points) {
+  std::string out = "mesh,light_radius_deg,method,setting,irradiance_rel_rmse,ms\n";
+  for (const DirectLightPoint& p : points)
+    out += fmt::format("\"{}\",{},\"{}\",\"{}\",{:.5g},{:.4g}\n", p.mesh, p.radius_deg, p.method,
+                       p.setting, p.error, p.ms);
+  return out;
+}
+
+std::string array_of(const std::string& name, const std::vector<std::string>& texts) {
+  std::vector<std::string> quoted;
+  for (const std::string& text : texts) quoted.push_back(gnuplot_quoted(text));
+  return fmt::format("array {}[{}] = [{}]\n", name, texts.size(), fmt::join(quoted, ", "));
+}
+
+// One panel a mesh and light, one line a method.
+std::string plot_of(const std::vector<DirectLightPoint>& points) {
+  std::vector<std::string> methods, panels;
+  std::map<std::string, std::map<std::string, std::string>> rows;
+  const auto note = [](std::vector<std::string>& names, const std::string& name) {
+    if (std::ranges::find(names, name) == names.end()) names.push_back(name);
+  };
+  for (const DirectLightPoint& p : points) {
+    const std::string panel = fmt::format("{}, light of {} degrees", p.mesh, p.radius_deg);
+    note(panels, panel), note(methods, p.method);
+    rows[panel][p.method] += fmt::format("{:.5g}\t{:.5g}\n", p.ms, 100 * p.error);
+  }
+  std::string script = fmt::format("columns = {}\nrows = {}\n", kRadii_deg.size(),
+                                   panels.size() / kRadii_deg.size()) +
+                       array_of("methods", methods) + array_of("titles", panels);
+  for (std::size_t i = 0; i < panels.size(); ++i) {
+    std::string data;
+    for (const std::string& method : methods) {
+      const std::string& own = rows[panels[i]][method];
+      data += (own.empty() ? "NaN\tNaN\n" : own) + "\n\n";
+    }
+    script += gnuplot_block(fmt::format("panel{}", i + 1), data);
+  }
+  return script + kDirectLightPlot;
+}
+
+}  // namespace
+
+Result<void> chart_direct_light(const ChartOptions& o) {
+  std::vector<std::string> assets = o.assets;
+  if (assets.empty()) assets = {"builtin:knot", "builtin:walker"};
+  PENUMBRA_ASSIGN(output, OutputFolder::create(o.output));
+  PENUMBRA_ASSIGN(points, measure_ways(assets));
+  PENUMBRA_TRY(output.begin());
+  PENUMBRA_TRY(write_bytes(output.file("direct-light.csv"), csv_of(points)));
+  if (const auto plot = run_gnuplot(plot_of(points), output.file("direct-light.svg")); !plot)
+    log_warning("the plot is not written: {}: {}", plot.error().where, plot.error().detail);
+  PENUMBRA_TRY(output.keep());
+  if (o.json) {
+    nlohmann::json rows = nlohmann::json::array();
+    for (const DirectLightPoint& p : points)
+      rows.push_back({{"mesh", p.mesh},
+                      {"light_radius_deg", p.radius_deg},
+                      {"method", p.method},
+                      {"setting", p.setting},
+                      {"irradiance_rel_rmse", p.error},
+                      {"ms", p.ms}});
+    print_json({{"rows", rows}});
+    return {};
+  }
+  for (const DirectLightPoint& p : points)
+    fmt::print("{:<24} {:>5.2f} deg  {:<21} {:<10} {:>6.2f} % {:>8.2f} ms\n", p.mesh, p.radius_deg,
+               p.method, p.setting, 100 * p.error, p.ms);
+  fmt::print("{0}/direct-light.csv, {0}/direct-light.svg\n", o.output);
+  return {};
+}
+
+}  // namespace penumbra::tools
