@@ -102,7 +102,8 @@ TABLES = {
         "Scenes and lamps": ["service/scene/scene_control.cpp: kLampKeys[]"]},
     "json.md": {
         "demo, composite and summary.json": [
-            f"{SUMMARY} - {CONFIGURATION} + configuration", f"{CONFIGURATION} - configuration"],
+            f"{SUMMARY} - {CONFIGURATION} + configuration", f"{CONFIGURATION} - configuration",
+            f"{REPORT}: json to_json(const ProcessorTimes&"],
         "render": ["tools/penumbra/command_render.cpp: print_json("],
         "record": [f"{RECORD} > return"],
         "tonemap": ["tools/penumbra/command_tonemap.cpp: print_json("],

@@ -9,6 +9,7 @@
 #include "capture/device/internal/bracketed_camera.h"
 #include "capture/device/internal/libcamera_device.h"
 #include "capture/device/internal/v4l2_node.h"
+#include "core/threads/processor_time.h"
 
 namespace penumbra::capture {
 
@@ -65,6 +66,7 @@ struct Rig::Station {
           std::this_thread::sleep_for(kRetry);
           continue;
         }
+        const SpendingOn spending(ProcessorUse::kCameras);
         const auto before = std::chrono::steady_clock::now();
         const std::uint64_t arrived = arrivals();
         if (auto exposures = wanted.take()) {

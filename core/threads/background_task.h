@@ -9,6 +9,8 @@
 #include <future>
 #endif
 
+#include "core/threads/processor_time.h"
+
 #pragma GCC visibility push(default)
 namespace penumbra {
 
@@ -23,7 +25,10 @@ class BackgroundTask {
 #if defined(__SANITIZE_THREAD__)
   template <class Work>
   void run(const Work& work) {
-    running_ = std::async(std::launch::async, work);
+    running_ = std::async(std::launch::async, [work, use = spending_on()] {
+      const SpendingOn spending(use);
+      work();
+    });
   }
   // An exception of the work comes out of here.
   void wait() {
@@ -35,7 +40,10 @@ class BackgroundTask {
 #else
   template <class Work>
   void run(const Work& work) {
-    group_.run(work);
+    group_.run([work, use = spending_on()] {
+      const SpendingOn spending(use);
+      work();
+    });
   }
   // An exception of the work comes out of here.
   void wait() {

@@ -2,6 +2,8 @@
 
 #include <cassert>
 
+#include "core/threads/processor_time.h"
+
 #if defined(__SANITIZE_THREAD__)
 #include <algorithm>
 #include <atomic>
@@ -26,7 +28,9 @@ void run_parts(std::int64_t first, std::int64_t last, std::int64_t grain, const 
   std::atomic<std::int64_t> next{first};
   std::mutex mutex;
   std::exception_ptr failed;
+  const ProcessorUse use = spending_on();
   const auto work = [&] {
+    const SpendingOn spending(use);
     try {
       for (std::int64_t at = next.fetch_add(grain); at < last; at = next.fetch_add(grain))
         part(body, at, std::min(at + grain, last));
@@ -51,8 +55,11 @@ void run_parts(std::int64_t first, std::int64_t last, std::int64_t grain, const 
                LoopBody part) {
   assert(grain > 0);
   using Range = tbb::blocked_range<std::int64_t>;
-  tbb::parallel_for(Range(first, last, static_cast<std::size_t>(grain)),
-                    [&](const Range& some) { part(body, some.begin(), some.end()); });
+  const ProcessorUse use = spending_on();
+  tbb::parallel_for(Range(first, last, static_cast<std::size_t>(grain)), [&](const Range& some) {
+    const SpendingOn spending(use);
+    part(body, some.begin(), some.end());
+  });
 }
 
 #endif

@@ -98,6 +98,14 @@ inline nlohmann::json to_json(const OvertakenFrames& frames) {
           {"unmatched_eyes", frames.unmatched_eyes}};
 }
 
+/// Of all cores, a frame.
+inline nlohmann::json to_json(const ProcessorTimes& times, double frames) {
+  return {{"pipeline_ms", times.pipeline_ms / frames},
+          {"drawing_ms", times.drawing_ms / frames},
+          {"cameras_ms", times.cameras_ms / frames},
+          {"other_ms", times.other_ms / frames}};
+}
+
 inline nlohmann::json to_json(const StageTimes& times) {
   nlohmann::json stages = nlohmann::json::object();
   for (const auto& [name, p] : times.summary())

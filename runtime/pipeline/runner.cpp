@@ -16,6 +16,7 @@
 #include "core/counted.h"
 #include "core/io/log.h"
 #include "core/threads/background_task.h"
+#include "core/threads/processor_time.h"
 #include "lighting/light_estimate.h"
 #include "lighting/lights/distant_light.h"
 #include "lighting/saturation_recovery.h"
@@ -261,6 +262,7 @@ void produce(Live& live, capture::FrameSource& source, const LightEstimationStag
     TimestampNs first{};
     while (!stop && !live.view.closed()) {
       auto frame = [&] {
+        const SpendingOn spending(ProcessorUse::kCameras);
         const StageTimer timer(times, "source");
         return source.next();
       }();
@@ -310,6 +312,7 @@ void measure(Live& live, LightEstimationStage& light, const LiveChanges& changes
         if (live.environment.closed()) return;
         continue;
       }
+      const SpendingOn spending(ProcessorUse::kPipeline);
       if (const auto recoveries = live.recoveries.take()) light.add_recoveries(*recoveries);
       if (changes.take_governor)
         if (const auto governor = changes.take_governor()) light.set_governor(*governor);
@@ -399,6 +402,7 @@ class LiveFrames {
 
   void hand_out(UnderWay& frame) {
     if (!go_on_) return;
+    const SpendingOn spending(ProcessorUse::kOther);
     const Stopwatch watch;
     go_on_ = deliver(frame.frame, frame.light, std::move(frame.done), sink_, counts_);
     in_sink_ms_ += watch.ms();
@@ -437,6 +441,7 @@ Result<RunCounts> run_live(capture::FrameSource& source, LightEstimationStage& l
   compose.warm_up();
   compose.keep_time();
   const auto start = Clock::now();
+  const ProcessorTimes spent_before = processor_times();
   {
     const std::jthread producer([&] { produce(live, source, light, times, stop); });
     const std::jthread measurer([&] { measure(live, light, changes); });
@@ -461,6 +466,7 @@ Result<RunCounts> run_live(capture::FrameSource& source, LightEstimationStage& l
         if (live.view.closed()) break;
         continue;
       }
+      const SpendingOn spending(ProcessorUse::kPipeline);
       counts.overtaken = live.overtaken();
       if (changes.stage_waits && changes.stage_waits()) {
         frames.finish_last();
@@ -482,6 +488,7 @@ Result<RunCounts> run_live(capture::FrameSource& source, LightEstimationStage& l
     if (composed) frames.finish_last();
   }
   counts.seconds = since(start);
+  counts.processor = processor_times() - spent_before;
   counts.overtaken = live.overtaken();
   counts.unusable = live.unusable;
   counts.exposures = static_cast<int>(light.exposures());

@@ -8,6 +8,7 @@
 #include <optional>
 
 #include "capture/frames.h"
+#include "core/threads/processor_time.h"
 #include "lighting/governor.h"
 #include "lighting/light_estimate.h"
 
@@ -31,10 +32,11 @@ struct RunCounts {
   std::uint64_t unusable = 0;
   double touched = 0;  // sum of the touched fractions
   double seconds = 0;
-  int lights = 0;                      // most that lit a frame
-  std::optional<double> coverage;      // of the sphere, least that lit a frame
-  std::optional<lighting::Plan> plan;  // the governor's last
-  int exposures = 0;                   // distinct exposures of the environment camera
+  std::optional<ProcessorTimes> processor;  // that a live run took
+  int lights = 0;                           // most that lit a frame
+  std::optional<double> coverage;           // of the sphere, least that lit a frame
+  std::optional<lighting::Plan> plan;       // the governor's last
+  int exposures = 0;                        // distinct exposures of the environment camera
 };
 
 /// One composited view frame with the frame that it came from and the light that it was drawn with.

@@ -17,6 +17,8 @@ nlohmann::json summarise(const runtime::RunCounts& counts, const StageTimes& tim
           {"seconds", counts.seconds},
           {"fps", counts.seconds > 0 ? frames / counts.seconds : 0},
           {"stages", runtime::to_json(times)},
+          {"processor", counts.processor && frames > 0 ? runtime::to_json(*counts.processor, frames)
+                                                       : nlohmann::json()},
           {"configuration",
            {{"bands", c.bands},
             {"lights", counts.lights},
@@ -65,6 +67,12 @@ void print_summary(const nlohmann::json& s) {
              counted(c["lights"].get<int>(), "light"), from_what(c["exposures"].get<int>()),
              100 * c["coverage"].get<double>(), c["renderer"].get<std::string>());
   if (const auto& p = c["plan"]; !p.is_null()) print_plan(p);
+  if (const auto& p = s["processor"]; !p.is_null())
+    fmt::print(
+        "processor time a frame: {:.1f} ms for the pipeline, {:.1f} for drawing without a GPU, "
+        "{:.1f} for cameras, {:.1f} for the rest (encoding, files)\n",
+        p["pipeline_ms"].get<double>(), p["drawing_ms"].get<double>(),
+        p["cameras_ms"].get<double>(), p["other_ms"].get<double>());
   fmt::print("{:<16} {:>8} {:>10} {:>10}\n", "stage", "count", "p50 ms", "p99 ms");
   for (const auto& [name, stage] : s["stages"].items())
     fmt::print("{:<16} {:>8} {:>10.3f} {:>10.3f}\n", name, stage["count"].get<int>(),

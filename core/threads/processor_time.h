@@ -1,0 +1,46 @@
+// What a process spends its processor time on, by the threads that say so and by the parallel loops
+// that they start.
+// threads: thread-safe
+#pragma once
+
+#include <cstdint>
+#include <string_view>
+
+#pragma GCC visibility push(default)
+namespace penumbra {
+
+enum class ProcessorUse : std::uint8_t { kOther, kCameras, kPipeline };
+
+/// While it lives, what the calling thread does counts for a use, and so do the parts of parallel
+/// loops that it starts, whoever does them. Of two such the inner one counts.
+/// threads: thread-bound
+class SpendingOn {
+ public:
+  explicit SpendingOn(ProcessorUse use);
+  ~SpendingOn();
+  SpendingOn(const SpendingOn&) = delete;
+  SpendingOn& operator=(const SpendingOn&) = delete;
+
+ private:
+  ProcessorUse before_;
+};
+/// Of the calling thread.
+ProcessorUse spending_on();
+
+/// Milliseconds of all cores so far; of threads that still spend up to their last SpendingOn.
+struct ProcessorTimes {
+  double pipeline_ms = 0;
+  double drawing_ms = 0;  // threads of OpenGL without a GPU (Mesa's llvmpipe)
+  double cameras_ms = 0;  // that are read, or that a studio films
+  double other_ms = 0;    // all else: what is encoded and written
+
+  friend ProcessorTimes operator-(const ProcessorTimes& a, const ProcessorTimes& b) {
+    return {a.pipeline_ms - b.pipeline_ms, a.drawing_ms - b.drawing_ms, a.cameras_ms - b.cameras_ms,
+            a.other_ms - b.other_ms};
+  }
+};
+/// Counts the calling thread's time up to now.
+ProcessorTimes processor_times();
+
+}  // namespace penumbra
+#pragma GCC visibility pop
