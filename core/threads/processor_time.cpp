@@ -1,5 +1,6 @@
 #include "core/threads/processor_time.h"
 
+#include <pthread.h>
 #include <unistd.h>
 
 #include <array>
@@ -7,8 +8,10 @@
 #include <ctime>
 #include <filesystem>
 #include <fstream>
+#include <mutex>
 #include <sstream>
 #include <string>
+#include <vector>
 
 namespace penumbra {
 
@@ -16,33 +19,60 @@ namespace {
 
 std::array<std::atomic<std::int64_t>, 3> spent_ns;  // by use; what is other is not counted
 
-struct Spending {
-  ProcessorUse on = ProcessorUse::kOther;
-  std::int64_t counted_ns = 0;  // of the thread's clock
-};
-thread_local Spending spending;
-
 std::int64_t clock_ns(clockid_t clock) {
   timespec now{};
   ::clock_gettime(clock, &now);
   return std::int64_t{now.tv_sec} * 1'000'000'000 + now.tv_nsec;
 }
 
-void count_until_now() {
-  const std::int64_t now = clock_ns(CLOCK_THREAD_CPUTIME_ID);
-  if (spending.on != ProcessorUse::kOther)
-    spent_ns[static_cast<std::size_t>(spending.on)] += now - spending.counted_ns;
-  spending.counted_ns = now;
+std::atomic<std::int64_t>& spent(ProcessorUse use) {
+  return spent_ns[static_cast<std::size_t>(use)];
 }
 
-void switch_to(ProcessorUse use) {
-  if (spending.on == use) return;
-  count_until_now();
-  spending.on = use;
+// Of one thread, which alone writes it.
+struct Spending {
+  std::atomic<ProcessorUse> on = ProcessorUse::kOther;
+  std::atomic<std::int64_t> counted_ns = 0;  // of the thread's clock
+  clockid_t clock{};
+
+  Spending();
+  ~Spending();
+  Spending(const Spending&) = delete;
+  Spending& operator=(const Spending&) = delete;
+};
+
+// All threads that have spent on anything. It outlives them.
+struct Spenders {
+  std::mutex mutex;
+  std::vector<const Spending*> threads;  // guarded by mutex
+};
+Spenders& spenders() {
+  static Spenders* const all = new Spenders;
+  return *all;
+}
+
+Spending::Spending() {
+  ::pthread_getcpuclockid(::pthread_self(), &clock);
+  const std::scoped_lock lock(spenders().mutex);
+  spenders().threads.push_back(this);
+}
+
+Spending::~Spending() {
+  const std::scoped_lock lock(spenders().mutex);
+  spent(on) += clock_ns(clock) - counted_ns;
+  std::erase(spenders().threads, this);
+}
+
+Spending& of_this_thread() {
+  thread_local Spending spending;
+  return spending;
 }
 
 double spent_ms(ProcessorUse use) {
-  return 1e-6 * static_cast<double>(spent_ns[static_cast<std::size_t>(use)]);
+  std::int64_t ns = spent(use);
+  for (const Spending* thread : spenders().threads)
+    if (thread->on == use) ns += clock_ns(thread->clock) - thread->counted_ns;
+  return 1e-6 * static_cast<double>(ns);
 }
 
 // User and system time of threads that live, proc(5): behind a name in brackets that may hold any
@@ -69,19 +99,21 @@ double ms_of_threads(std::string_view name_begins) {
 
 }  // namespace
 
-SpendingOn::SpendingOn(ProcessorUse use) : before_(spending.on) {
-  switch_to(use);
-}
-SpendingOn::~SpendingOn() {
-  switch_to(before_);
+void spend_on(ProcessorUse use) {
+  Spending& thread = of_this_thread();
+  if (thread.on == use) return;
+  const std::int64_t now = clock_ns(thread.clock);
+  spent(thread.on) += now - thread.counted_ns;
+  thread.counted_ns = now;
+  thread.on = use;
 }
 
 ProcessorUse spending_on() {
-  return spending.on;
+  return of_this_thread().on;
 }
 
 ProcessorTimes processor_times() {
-  count_until_now();
+  const std::scoped_lock lock(spenders().mutex);
   ProcessorTimes out{.pipeline_ms = spent_ms(ProcessorUse::kPipeline),
                      .drawing_ms = ms_of_threads("llvmpipe-"),
                      .cameras_ms = spent_ms(ProcessorUse::kCameras)};

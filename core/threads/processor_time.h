@@ -11,23 +11,26 @@ namespace penumbra {
 
 enum class ProcessorUse : std::uint8_t { kOther, kCameras, kPipeline };
 
+/// What the calling thread does from now on counts for a use. Threads that never say are kOther.
+void spend_on(ProcessorUse use);
+/// Of the calling thread.
+ProcessorUse spending_on();
+
 /// While it lives, what the calling thread does counts for a use, and so do the parts of parallel
 /// loops that it starts, whoever does them. Of two such the inner one counts.
 /// threads: thread-bound
 class SpendingOn {
  public:
-  explicit SpendingOn(ProcessorUse use);
-  ~SpendingOn();
+  explicit SpendingOn(ProcessorUse use) : before_(spending_on()) { spend_on(use); }
+  ~SpendingOn() { spend_on(before_); }
   SpendingOn(const SpendingOn&) = delete;
   SpendingOn& operator=(const SpendingOn&) = delete;
 
  private:
   ProcessorUse before_;
 };
-/// Of the calling thread.
-ProcessorUse spending_on();
 
-/// Milliseconds of all cores so far; of threads that still spend up to their last SpendingOn.
+/// Milliseconds of all cores so far.
 struct ProcessorTimes {
   double pipeline_ms = 0;
   double drawing_ms = 0;  // threads of OpenGL without a GPU (Mesa's llvmpipe)
@@ -39,7 +42,6 @@ struct ProcessorTimes {
             a.other_ms - b.other_ms};
   }
 };
-/// Counts the calling thread's time up to now.
 ProcessorTimes processor_times();
 
 }  // namespace penumbra
