@@ -59,12 +59,15 @@ class SamplePattern {
     const auto samples = static_cast<std::size_t>(samples_);
     return {&directions_[point % static_cast<std::size_t>(turns_) * samples], samples};
   }
+  /// How many different ones of a point's directions lie before its surface.
+  int count_before(std::size_t point, const glm::vec3& normal) const;
 
  private:
   void spread_over_cap(const lighting::DistantLight& source);
   void spread_over_shape(const lighting::DistantLight& source);
 
   int samples_ = 0, turns_ = 1;
+  bool repeats_ = false;  // some of a turn's directions
   std::vector<glm::vec3> directions_;
 };
 

@@ -90,6 +90,11 @@ class VertexTracer {
     return sum;
   }
 
+  /// How many different ones of its samples may bring a vertex light.
+  std::uint8_t directions(std::size_t vertex) const {
+    return static_cast<std::uint8_t>(pattern_.count_before(vertex, normal(vertex)));
+  }
+
   /// Adds samples [first, last) of the vertices, as far as they are before the plane, to the sums
   /// of cosines.
   void trace(std::span<const std::uint32_t> vertices, std::size_t first, std::size_t last,
@@ -262,6 +267,18 @@ void trace_vertices(const VertexTracer& tracer, const Caster& object,
   follow_edges(tracer, *object.mesh, source, samples, plan, sums);
 }
 
+// What few rays find, with its neighbours.
+void smooth_traced(const VertexTracer& tracer, const prt::Mesh& mesh,
+                   const lighting::DistantLight& source, Sums& sums) {
+  thread_local std::vector<std::uint8_t> directions_memory;  // grows once per thread
+  std::vector<std::uint8_t>& directions = directions_memory;
+  directions.resize(sums.size());
+  parallel_for(std::size_t{0}, sums.size(), 4096, [&](const auto& part) {
+    for (std::size_t i = part.begin(); i < part.end(); ++i) directions[i] = tracer.directions(i);
+  });
+  smooth_noise_over_neighbours(mesh, source, directions, sums);
+}
+
 // Vertices of which the map is not all that there is to know: rays find what else stands between.
 // What the object itself keeps dark stays so.
 void trace_among_others(const VertexTracer& tracer, const prt::Mesh& mesh,
@@ -269,6 +286,7 @@ void trace_among_others(const VertexTracer& tracer, const prt::Mesh& mesh,
                         int samples, bool averaged, Sums& sums) {
   thread_local std::vector<std::uint32_t> reached;  // grow once per thread
   thread_local Sums shared;
+  thread_local std::vector<std::uint8_t> directions;
   reached.clear();
   for (std::uint32_t i = 0; i < sums.size(); ++i)
     if (sums[i].seen > 0 && others.may_shade(mesh.positions[i])) reached.push_back(i);
@@ -276,23 +294,50 @@ void trace_among_others(const VertexTracer& tracer, const prt::Mesh& mesh,
   for (const std::uint32_t i : reached) sums[i] = {};
   tracer.trace(reached, 0, static_cast<std::size_t>(samples), sums);
   if (!averaged) return;
-  // What is looked up has no noise that neighbours could share.
-  shared = sums;
-  smooth_noise_over_neighbours(mesh, source, samples, shared);
+  // What is looked up has no noise that neighbours could share, and more directions.
+  shared.resize(sums.size());
+  for (std::size_t i = 0; i < sums.size(); ++i) {
+    const float open = sums[i].open > 0 ? tracer.open(i) : 0;
+    shared[i] = {open > 0 ? open * sums[i].seen / sums[i].open : 0, open};
+  }
+  directions.assign(sums.size(), 0);
+  for (const std::uint32_t i : reached) {
+    shared[i] = sums[i];
+    directions[i] = tracer.directions(i);
+  }
+  smooth_noise_over_neighbours(mesh, source, directions, shared);
   for (const std::uint32_t i : reached) sums[i] = shared[i];
 }
 
-// Sums of cosines of what is hidden, each beside those of all.
-void smooth_occlusion(const prt::Mesh& mesh, const lighting::DistantLight& source, int samples,
-                      DirectLightAtVertices& out) {
+// One of the sums of cosines beside those of all. Nothing changes where nothing is hidden.
+void smooth_hidden(const prt::Mesh& mesh, const lighting::DistantLight& source,
+                   std::span<const std::uint8_t> directions, std::span<const float> open,
+                   std::span<float> hidden) {
+  if (std::ranges::all_of(hidden, [](float h) { return h <= 0; })) return;
   thread_local Sums sums;  // grows once per thread
-  sums.resize(out.open.size());
-  for (auto* occlusion : {&out.virtual_occlusion, &out.real_occlusion}) {
-    for (std::size_t i = 0; i < sums.size(); ++i) sums[i] = {(*occlusion)[i], out.open[i]};
-    smooth_noise_over_neighbours(mesh, source, samples, sums);
-    for (std::size_t i = 0; i < sums.size(); ++i) (*occlusion)[i] = sums[i].seen;
+  sums.resize(open.size());
+  for (std::size_t i = 0; i < sums.size(); ++i) sums[i] = {hidden[i], open[i]};
+  smooth_noise_over_neighbours(mesh, source, directions, sums);
+  // Where no direction was open there is no sum of all to stand beside.
+  for (std::size_t i = 0; i < sums.size(); ++i)
+    hidden[i] = open[i] > 0 || sums[i].open <= 0 ? sums[i].seen : sums[i].seen / sums[i].open;
+}
+
+// What real things take, and what all take, so that both together take no more than there is.
+void smooth_occlusion(const prt::Mesh& mesh, const lighting::DistantLight& source,
+                      const SamplePattern& pattern, DirectLightAtVertices& out) {
+  thread_local std::vector<std::uint8_t> directions;  // grows once per thread
+  directions.resize(out.open.size());
+  for (std::size_t i = 0; i < directions.size(); ++i)
+    directions[i] = static_cast<std::uint8_t>(pattern.count_before(i, mesh.normals[i]));
+  std::vector<float>& taken = out.virtual_occlusion;
+  for (std::size_t i = 0; i < taken.size(); ++i) taken[i] += out.real_occlusion[i];
+  smooth_hidden(mesh, source, directions, out.open, out.real_occlusion);
+  smooth_hidden(mesh, source, directions, out.open, taken);
+  for (std::size_t i = 0; i < taken.size(); ++i) {
+    taken[i] = std::max(0.f, taken[i] - out.real_occlusion[i]);
+    if (out.open[i] <= 0) out.open[i] = 1;  // fractions stand beside it
   }
-  for (std::size_t i = 0; i < sums.size(); ++i) out.open[i] = sums[i].open;
 }
 
 }  // namespace
@@ -330,7 +375,7 @@ void trace_direct_light(const RayOccluders& occluders, const ShadowCasters& cast
   } else {
     sums.assign(count, {});
     trace_vertices(tracer, object, source, others, use, samples, {tracer, averaged, sums}, sums);
-    if (averaged) smooth_noise_over_neighbours(mesh, source, samples, sums);
+    if (averaged) smooth_traced(tracer, mesh, source, sums);
   }
   // What is behind the plane is in neither sum.
   std::array<glm::vec3, kMaxSamples> memory;
@@ -377,7 +422,7 @@ void trace_direct_light_at_vertices(const RayOccluders& occluders, const prt::Me
       }
     }
   });
-  if (is_wide(source) && !hard) smooth_occlusion(mesh, source, samples, out);
+  if (is_wide(source) && !hard) smooth_occlusion(mesh, source, pattern, out);
   all.make(source, std::max(samples, kOpenSamples), 1);
   const UnoccludedLight whole(all.at(0), glm::vec3(source.direction), glm::mat3(1), hard);
   parallel_for(std::size_t{0}, count, 1024, [&](const auto& part) {

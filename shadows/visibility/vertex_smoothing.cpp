@@ -1,5 +1,6 @@
 #include "shadows/visibility/internal/vertex_smoothing.h"
 
+#include <algorithm>
 #include <cmath>
 
 namespace penumbra::shadows {
@@ -22,22 +23,30 @@ float fraction(const prt::CosineSums& s) {
   return s.open > 0 ? s.seen / s.open : 0;
 }
 
+// Of a fraction by so many directions. Rays to a cap lie side by side, points of a form as they
+// come.
+float noise_of(float own, float around, int directions, bool stratified) {
+  if (directions == 0) return 0;
+  if (directions == 1) return around * (1 - around);  // it is 0 or 1 itself
+  const auto n = static_cast<float>(directions);
+  return own * (1 - own) / ((n - 1) * (stratified ? std::sqrt(n) : 1));
+}
+
 }  // namespace
 
 void smooth_noise_over_neighbours(const prt::Mesh& mesh, const lighting::DistantLight& source,
-                                  int directions, std::vector<prt::CosineSums>& sums) {
+                                  std::span<const std::uint8_t> directions,
+                                  std::vector<prt::CosineSums>& sums) {
   const int times = smoothing_passes(source);
   thread_local std::vector<prt::CosineSums> around;  // grow once per thread
   thread_local std::vector<Variances> variances;
   around = sums;
   smooth_over_neighbours(mesh, times, around);
   variances.resize(sums.size());
-  const auto n = static_cast<float>(directions);
-  // Rays to a cap lie side by side; points of a form may come as they like.
-  const float scale = 1 / ((n - 1) * (source.shape.empty() ? std::sqrt(n) : 1));
   for (std::size_t i = 0; i < sums.size(); ++i) {
-    const float own = fraction(sums[i]), off = own - fraction(around[i]);
-    variances[i] = {scale * sums[i].open * own * (1 - own), sums[i].open * off * off};
+    const float own = fraction(sums[i]), mean = fraction(around[i]), off = own - mean;
+    variances[i] = {sums[i].open * noise_of(own, mean, directions[i], source.shape.empty()),
+                    sums[i].open * off * off};
   }
   // Of one ring alone both are too uncertain.
   smooth_over_neighbours(mesh, times + 1, variances);
@@ -47,7 +56,9 @@ void smooth_noise_over_neighbours(const prt::Mesh& mesh, const lighting::Distant
       continue;
     }
     const auto [noise, all] = variances[i];
-    const float mean = fraction(around[i]), kept = all > noise ? (all - noise) / all : 0;
+    // Rounded, a variance may be a little below zero.
+    const float mean = fraction(around[i]),
+                kept = all > 0 ? std::clamp(1 - noise / all, 0.f, 1.f) : 0;
     sums[i].seen = sums[i].open * (mean + kept * (fraction(sums[i]) - mean));
   }
 }

@@ -1,6 +1,8 @@
 // Light that neighbouring vertices share.
 #pragma once
 
+#include <cstdint>
+#include <span>
 #include <utility>
 #include <vector>
 
@@ -39,10 +41,12 @@ void smooth_over_neighbours(const prt::Mesh& mesh, int times, std::vector<T>& su
 
 /// As smooth_over_neighbours, as often as smoothing_passes() says, as far as vertices differ by no
 /// more than few directions make them: an edge of a shadow that is sharper than the mesh stays one.
-/// in:     directions that were asked for a vertex, 2..64; one that was told knows it all
-/// source: local statistics, Lee 1980; the variance of stratified samples of an edge falls with
-///         n^-1.5, Mitchell 1996
+/// in:      directions: by vertex, how many different ones its sums are of; 0: no noise is in them
+/// threads: reentrant
+/// source:  local statistics, Lee 1980; the variance of stratified samples of an edge falls with
+///          n^-1.5, Mitchell 1996
 void smooth_noise_over_neighbours(const prt::Mesh& mesh, const lighting::DistantLight& source,
-                                  int directions, std::vector<prt::CosineSums>& sums);
+                                  std::span<const std::uint8_t> directions,
+                                  std::vector<prt::CosineSums>& sums);
 
 }  // namespace penumbra::shadows
