@@ -141,7 +141,7 @@ MENTIONED = {
                  'tools/chart/command_chart.cpp: print_json({{"needed_factor" + '
                  "tools/chart/command_chart_clip.cpp: rows.push_back( + "
                  "tools/chart/command_chart_clip.cpp: print_json( + "
-                 "tools/chart/command_chart_direct_light.cpp: rows.push_back( + "
+                 "tools/chart/command_chart_direct_light.cpp: json to_json( + "
                  "tools/chart/command_chart_direct_light.cpp: print_json( + "
                  "tools/chart/command_chart_light_track.cpp: rows.push_back( + "
                  "tools/chart/command_chart_light_track.cpp: print_json( + "

@@ -352,7 +352,7 @@ class Bake(CliTest):
                 return [row["irradiance_rel_rmse"] for row in rows
                         if row["light_radius_deg"] == radius and row["method"] == method]
             every, needed, cached = (errors(m) for m in ("rays at every vertex", "rays where needed",
-                                                         "cached visibility"))
+                                                         "cached visibility, 16 rays"))
             self.assertEqual(every, sorted(every, reverse=True))  # more rays, less error
             self.assertEqual(cached, sorted(cached))  # a larger error allowed
             for i, error in enumerate(needed):
@@ -360,6 +360,16 @@ class Bake(CliTest):
             self.assertLess(max(errors("visibility map")), .06)
         self.assertIn("walker", (out / "direct-light.csv").read_text())
         self.assertTrue((out / "direct-light.svg").stat().st_size > 1000)
+        traced = [row["traced_fraction"] for row in rows if row["method"].startswith("cached")]
+        self.assertLess(min(traced), .1)
+        self.assertTrue(all(row["traced_fraction"] is None for row in rows if row["method"] == "visibility map"))
+        for flags in (["--bands", 3], ["--environment", "x.hdr"], ["--slurm"], ["--shard", "1/2"]):
+            self.expect_refusal(["--direct-light", flags[0]], "chart", "--direct-light", *flags)
+        self.expect_refusal(["absent.obj"], "chart", "--direct-light", "--asset", "builtin:knot", "absent.obj",
+                            "--out", self.root / "none")
+        self.expect_refusal(["--asset", "builtin:box twice"], "chart", "--direct-light", "--asset", "builtin:box",
+                            "builtin:box", "--out", self.root / "none")
+        self.assertFalse((self.root / "none").exists())
 
     def test_lights_are_charted(self):
         out = self.root / "lights"

@@ -276,6 +276,10 @@ void add_chart(CLI::App& parent, Action& action) {
       ->excludes(merge)
       ->excludes(governor)
       ->excludes(sensor);
+  for (const char* const other :
+       {"--environment", "--with-procedural", "--bands", "--max-lights", "--max-shadow-error",
+        "--error", "--truncated", "--shard", "--merge", "--slurm"})
+    direct_light->excludes(c->get_option(other));
   add_json(c, chart_options.json);
   c->callback([&] {
     action = [] {

@@ -50,7 +50,7 @@ std::vector<std::uint32_t> coarse_first(std::size_t count) {
   return out;
 }
 
-// Cells that meet in a slot only cost time: each sample is asked for its own error.
+// What other cells have in the slot only costs time: each sample is asked for its own error.
 std::size_t slot_of(int level, const glm::ivec3& cell, std::size_t slots) {
   const auto hash = static_cast<std::uint32_t>(cell.x) * 73856093u ^
                     static_cast<std::uint32_t>(cell.y) * 19349663u ^
@@ -102,8 +102,9 @@ float VisibilityCache::occluder_distance_m(std::size_t vertex) const {
   return hidden > 0 ? std::min(max, hidden / nearness) : max;
 }
 
-// The visible part of the light, by its cosines.
-float VisibilityCache::trace(std::size_t vertex, std::span<const glm::vec3> directions) const {
+// The visible part of the light, by its cosines; nothing where all directions are behind.
+std::optional<float> VisibilityCache::trace(std::size_t vertex,
+                                            std::span<const glm::vec3> directions) const {
   FromVertex from(*mesh_, vertex, near_m_);
   float visible = 0, all = 0;
   std::array<float, prt::RayWorld::kPacket> cosines{};
@@ -122,7 +123,8 @@ float VisibilityCache::trace(std::size_t vertex, std::span<const glm::vec3> dire
     if (from.full()) ask();
   }
   if (from.count() > 0) ask();
-  return all > 0 ? visible / all : 0;
+  if (!(all > 0)) return {};
+  return visible / all;
 }
 
 void VisibilityCache::clear() {
@@ -189,9 +191,11 @@ std::size_t VisibilityCache::light(const lighting::DistantLight& source, int sam
   for (const std::uint32_t i : order_) {
     if (glm::dot(mesh_->normals[i], towards) <= turned_away) continue;
     if (max_error > 0 && interpolate(i, max_error, visible[i])) continue;
-    visible[i] = trace(i, pattern.at(i));
-    if (max_error > 0) insert(i, visible[i], max_error);
     ++traced;
+    const std::optional<float> seen = trace(i, pattern.at(i));
+    if (!seen) continue;
+    visible[i] = *seen;
+    if (max_error > 0) insert(i, *seen, max_error);
   }
   whole.make(source, 16, 1);
   shadows::DirectionSet all{whole.at(0), towards, glm::vec3(0), 0};

@@ -1,13 +1,15 @@
 // Light of a distant light at vertices by a cache of visibility, as Xu proposed it: a point takes
 // what near points with a similar normal have seen, as far as what hides them is far away.
 // threads: thread-bound
-// source: Xu 2005, section 9.2.1, equations 9.3 and 9.4; Ward, Rubinstein & Clear 1988
+// source: Xu 2005, section 9.2.1, equations 9.3 and 9.4, whose second term is printed without the
+//         root that it has in Ward, Rubinstein & Clear 1988
 #pragma once
 
 #include <cstddef>
 #include <cstdint>
 #include <glm/ext/vector_int3.hpp>
 #include <glm/vec3.hpp>
+#include <optional>
 #include <span>
 #include <vector>
 
@@ -47,7 +49,7 @@ class VisibilityCache {
 
   VisibilityCache(const prt::Mesh& mesh, prt::RayWorld world, float near_m);
   float occluder_distance_m(std::size_t vertex) const;
-  float trace(std::size_t vertex, std::span<const glm::vec3> directions) const;
+  std::optional<float> trace(std::size_t vertex, std::span<const glm::vec3> directions) const;
   void clear();
   bool interpolate(std::size_t vertex, float max_error, float& visible) const;
   void insert(std::size_t vertex, float visible, float max_error);
