@@ -361,6 +361,59 @@ def copy_files(section, outputs):
             print(f"  {path} is not there: docs/{target} stays as it is")
 
 
+# ---- Plots. ----
+
+def points_of(panel, plot, outputs):
+    """[(x, y)] of the benchmarks that a panel names, by x."""
+    rows = json.loads(outputs.get(plot["of"])[0])["benchmarks"]
+    out = []
+    for case in panel["cases"]:
+        found = [r for r in rows if fits(r, {"name": case})]
+        if len(found) != 1:
+            raise Wrong(f"{case}: {len(found)} benchmarks of this name")
+        out.append((found[0][panel["x"]], found[0][plot["y"]]))
+    return sorted(out)
+
+
+def plot_script(plot, outputs):
+    """Panels side by side, each with a line of what would grow in proportion."""
+    script = ["set encoding utf8",
+              f"set terminal svg size {330 * len(plot['panels'])},320 font 'sans-serif,12' "
+              "background '#ffffff' noenhanced",
+              f"set multiplot layout 1,{len(plot['panels'])}",
+              "set grid lw .8 lc rgb '#cccccc'", "set border lw .8", "set key top left Left reverse",
+              f"set ylabel '{plot['label']}'"]
+    for panel in plot["panels"]:
+        points = points_of(panel, plot, outputs)
+        (x, y), (x_max, y_max) = points[0], (max(p[k] for p in points) for k in (0, 1))
+        script += ["$points << END", *(f"{a} {b}" for a, b in points), "END",
+                   f"set xlabel '{panel['label']}'",
+                   f"set xrange [0:{1.05 * x_max}]",
+                   f"set yrange [0:{1.3 * max(y_max, y * x_max / x)}]",
+                   f"set xtics {panel['tics']}" if "tics" in panel else "set xtics auto",
+                   f"plot {y / x} * x with lines dt 2 lc rgb '#666666' title 'in proportion', "
+                   "$points with linespoints pt 7 lw 1.6 lc rgb '#0072B2' title 'measured'",
+                   "set ylabel ''"]
+    return "\n".join(script) + "\n"
+
+
+def draw_plot(name, section, outputs):
+    plot = section.get("plot")
+    if not plot:
+        return
+    try:
+        script = plot_script(plot, outputs)
+        run = subprocess.run(["gnuplot"], input=script, capture_output=True, text=True)
+    except Wrong as error:
+        raise Wrong(f"{name}: {plot['file']}: {error}") from error
+    except OSError:
+        print(f"  no gnuplot: docs/{plot['file']} stays as it is")
+        return
+    if run.returncode != 0:
+        raise Wrong(f"{name}: {plot['file']}: {run.stderr.strip()}")
+    (DOCS / plot["file"]).write_text(run.stdout, encoding="utf-8")
+
+
 def main(arguments):
     parser = argparse.ArgumentParser(description=__doc__.partition("\n\n")[0])
     parser.add_argument("--build", type=Path, default=ROOT / "build" / "release", metavar="FOLDER",
@@ -387,6 +440,7 @@ def main(arguments):
             if name not in sections:
                 raise Wrong(f"{name}: no such section; there are {', '.join(sections)}")
             text = section_text(name, sections[name], outputs, commands)
+            draw_plot(name, sections[name], outputs)
             write_section(DOCS / "results.md", name, text)
             copy_files(sections[name], outputs)
         except Absent as reason:

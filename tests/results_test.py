@@ -53,6 +53,12 @@ rows = [
   { label = "a test", of = "print", find = ' of (?P<kind>[79])$', matches = 2, show = "{kind}" },
   { label = "a bench", of = "bench", where = { name = ".*:3" }, show = "{ms[0]:.2g}, {ms[1]:.2g}" },
 ]
+[bench.plot]
+file = "toy.svg"
+of = "bench"
+y = "ms"
+label = "ms"
+panels = [{ x = "bands", label = "bands", tics = 2, cases = [".*:1/bands:3", ".*:5"] }]
 [table]
 columns = "what | figure"
 of = "table"
@@ -81,6 +87,10 @@ rows = [
   { label = "there", of = "print", find = 'walk: (?P<off>[\d.]+)', show = "{off.max}" },
   { label = "not there", of = "print", find = 'run: (?P<off>[\d.]+)', show = "{off}" },
 ]
+[unplotted]
+columns = "what | figure"
+rows = [{ label = "a bench", of = "bench", where = { name = ".*:5" }, show = "{ms:.0f}" }]
+plot = { file = "none.svg", of = "bench", y = "ms", label = "", panels = [{ x = "ms", label = "", cases = [".*:7"] }] }
 [several]
 columns = "what | figure"
 of = "print"
@@ -122,8 +132,9 @@ esac
 esac
 """,
     "penumbra_bench": r"""echo '{"benchmarks": [
-  {"name": "toy/threads:1/bands:3", "ms": 2.71}, {"name": "toy/threads:2/bands:3", "ms": 1.24},
-  {"name": "toy/threads:1/bands:5", "ms": 9}]}'
+  {"name": "toy/threads:1/bands:3", "ms": 2.71, "bands": 3},
+  {"name": "toy/threads:2/bands:3", "ms": 1.24, "bands": 3},
+  {"name": "toy/threads:1/bands:5", "ms": 9, "bands": 5}]}'
 """,
 }
 
@@ -143,8 +154,9 @@ ERRORS = {
     "choice": "choice: two: `toy Toy.Prints*`: ValueError: 2 figures where one is shown",
     "failing": "failing: failing row: `toy Toy.Fails`: ends with status 1, "
                "see out/results/fail.failed.txt",
-    "unknown": "unknown: no such section; there are text, bench, table, json, missing, several, "
-               "choice, failing, skipped, absent, drawn",
+    "unplotted": "unplotted: none.svg: .*:7: 0 benchmarks of this name",
+    "unknown": "unknown: no such section; there are text, bench, table, json, missing, "
+               "unplotted, several, choice, failing, skipped, absent, drawn",
 }
 ABSENT = {"skipped": "skipped: stays as it is: shared data file absent: toy.hdr",
           "absent": "absent: stays as it is: shared data folder absent: envmaps "
@@ -198,6 +210,9 @@ def check_script(root):
                 wrong.append(f"{section}: writes {written}")
         if not (toy.folder / "docs" / "rows.csv").exists():
             wrong.append("a file is not copied")
+        plot = toy.folder / "docs" / "toy.svg"
+        if not plot.exists() or "in proportion" not in plot.read_text(encoding="utf-8"):
+            wrong.append("no plot of a benchmark's growth")
         for section, line in {**ERRORS, **ABSENT}.items():
             before = toy.page.read_text(encoding="utf-8")
             run = toy.run("--section", section)

@@ -56,13 +56,14 @@ void run_parts(std::int64_t first, std::int64_t last, std::int64_t grain, const 
   assert(grain > 0);
   using Range = tbb::blocked_range<std::int64_t>;
   const ProcessorUse use = spending_on();
+  // Parts of other loops may be done while this one is waited for.
+  const SpendingOn stays(use);
   tbb::parallel_for(Range(first, last, static_cast<std::size_t>(grain)), [&](const Range& some) {
     // A worker stays with it until it takes up another loop: to ask its clock at each part would
     // cost more than the parts of small loops.
     spend_on(use);
     part(body, some.begin(), some.end());
   });
-  spend_on(use);  // parts of other loops may have been done while this one was waited for
 }
 
 #endif

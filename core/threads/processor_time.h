@@ -1,15 +1,16 @@
 // What a process spends its processor time on, by the threads that say so and by the parallel loops
-// that they start.
+// that they start. What libraries do on threads of their own is other, and what they hand to the
+// threads of loops, as Embree does, counts for the loop that such a thread did last.
 // threads: thread-safe
 #pragma once
 
 #include <cstdint>
-#include <string_view>
 
 #pragma GCC visibility push(default)
 namespace penumbra {
 
-enum class ProcessorUse : std::uint8_t { kOther, kCameras, kPipeline };
+enum class ProcessorUse : std::uint8_t { kOther, kCameras, kPipeline, kEncoding };
+inline constexpr int kProcessorUses = 4;
 
 /// What the calling thread does from now on counts for a use. Threads that never say are kOther.
 void spend_on(ProcessorUse use);
@@ -33,13 +34,14 @@ class SpendingOn {
 /// Milliseconds of all cores so far.
 struct ProcessorTimes {
   double pipeline_ms = 0;
-  double drawing_ms = 0;  // threads of OpenGL without a GPU (Mesa's llvmpipe)
-  double cameras_ms = 0;  // that are read, or that a studio films
-  double other_ms = 0;    // all else: what is encoded and written
+  double drawing_ms = 0;   // threads of OpenGL without a GPU (Mesa's llvmpipe)
+  double cameras_ms = 0;   // that are read, or that a studio films
+  double encoding_ms = 0;  // pictures and videos, and writing them
+  double other_ms = 0;
 
   friend ProcessorTimes operator-(const ProcessorTimes& a, const ProcessorTimes& b) {
     return {a.pipeline_ms - b.pipeline_ms, a.drawing_ms - b.drawing_ms, a.cameras_ms - b.cameras_ms,
-            a.other_ms - b.other_ms};
+            a.encoding_ms - b.encoding_ms, a.other_ms - b.other_ms};
   }
 };
 ProcessorTimes processor_times();

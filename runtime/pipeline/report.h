@@ -103,6 +103,7 @@ inline nlohmann::json to_json(const ProcessorTimes& times, double frames) {
   return {{"pipeline_ms", times.pipeline_ms / frames},
           {"drawing_ms", times.drawing_ms / frames},
           {"cameras_ms", times.cameras_ms / frames},
+          {"encoding_ms", times.encoding_ms / frames},
           {"other_ms", times.other_ms / frames}};
 }
 

@@ -322,7 +322,10 @@ void measure(Live& live, LightEstimationStage& light, const LiveChanges& changes
       auto estimate = light.process(*frame);
       if (estimate) {
         held.reset();
-        if (changes.on_light) changes.on_light(light, *estimate);
+        if (changes.on_light) {
+          const SpendingOn other(ProcessorUse::kOther);
+          changes.on_light(light, *estimate);
+        }
         light.ready() ? live.light.put(std::move(*estimate)) : void(held = std::move(*estimate));
       } else if (is_ordinary(estimate.error())) {
         const std::scoped_lock lock(live.mutex);
@@ -362,6 +365,7 @@ class LiveFrames {
       if (!go_on_) return {};
       ++counts_.frames;
       ++counts_.without_light;
+      const SpendingOn spending(ProcessorUse::kOther);
       go_on_ = sink_({frame, frame.pixels, light, counts_.overtaken});
       return {};
     }

@@ -6,6 +6,7 @@
 #include <utility>
 
 #include "core/io/log.h"
+#include "core/threads/processor_time.h"
 #include "service/outputs/internal/frame_sink.h"
 
 namespace penumbra::service {
@@ -81,6 +82,7 @@ Result<void> FrameOutput::serve(const std::stop_token& stop) {
 }
 
 void FrameOutput::run(const std::stop_token& stop) {
+  const SpendingOn spending(ProcessorUse::kEncoding);
   Result<void> done;
   try {
     done = serve(stop);

@@ -10,6 +10,7 @@
 #include <thread>
 
 #include "capture/recording/recording.h"
+#include "core/threads/processor_time.h"
 #include "core/threads/queues.h"
 
 namespace penumbra::service {
@@ -144,6 +145,7 @@ class Recorder {
   };
 
   void code(Station& station) {
+    const SpendingOn spending(ProcessorUse::kEncoding);
     while (auto frame = station.queue.pop()) {
       if (failed_) continue;  // takes what is left, so that nobody waits for room
       if (auto written = writer_.write(*frame); !written) {

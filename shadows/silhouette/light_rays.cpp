@@ -70,7 +70,7 @@ SilhouetteCache& cache_of(const ShadowCasters& casters) {
 void SamplePattern::make(const lighting::DistantLight& source, int samples, int turns) {
   assert(samples >= 1 && samples <= kMaxSamples && turns >= 1);
   samples_ = samples, turns_ = turns;
-  repeats_ = false;
+  repeated_.clear();
   directions_.clear();
   if (samples == 1 && turns == 1)
     directions_.emplace_back(source.direction);
@@ -86,7 +86,7 @@ void SamplePattern::keep_before(const prt::Plane& plane) {
   std::ranges::copy_if(directions_, std::back_inserter(all),
                        [&](const glm::vec3& d) { return !behind(&plane, d); });
   if (all.empty() || all.size() == directions_.size()) return;
-  repeats_ = true;
+  repeated_.assign(directions_.size(), 0);
   const auto samples = static_cast<std::size_t>(samples_);
   for (std::size_t first = 0; first < directions_.size(); first += samples) {
     own.clear();
@@ -96,18 +96,17 @@ void SamplePattern::keep_before(const prt::Plane& plane) {
     for (std::size_t k = 0, next = 0; k < samples; ++k) {
       if (!behind(&plane, turn[k])) continue;
       turn[k] = own.empty() ? all[(first + k) % all.size()] : own[next++ % own.size()];
+      repeated_[first + k] = !own.empty();
     }
   }
 }
 
 int SamplePattern::count_before(std::size_t point, const glm::vec3& normal) const {
   const std::span<const glm::vec3> turn = at(point);
+  const auto first = static_cast<std::size_t>(turn.data() - directions_.data());
   int out = 0;
-  for (std::size_t k = 0; k < turn.size(); ++k) {
-    if (glm::dot(normal, turn[k]) <= 0) continue;
-    out +=
-        !repeats_ || std::ranges::find(turn.first(k), turn[k]) == turn.begin() + std::ptrdiff_t(k);
-  }
+  for (std::size_t k = 0; k < turn.size(); ++k)
+    out += glm::dot(normal, turn[k]) > 0 && (repeated_.empty() || !repeated_[first + k]);
   return out;
 }
 

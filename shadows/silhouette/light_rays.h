@@ -67,7 +67,7 @@ class SamplePattern {
   void spread_over_shape(const lighting::DistantLight& source);
 
   int samples_ = 0, turns_ = 1;
-  bool repeats_ = false;  // some of a turn's directions
+  std::vector<char> repeated_;  // by direction, whether its turn has it already; empty: none
   std::vector<glm::vec3> directions_;
 };
 

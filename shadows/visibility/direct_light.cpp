@@ -267,14 +267,18 @@ void trace_vertices(const VertexTracer& tracer, const Caster& object,
   follow_edges(tracer, *object.mesh, source, samples, plan, sums);
 }
 
-// What few rays find, with its neighbours.
+// What few rays find, with its neighbours. Of a single direction nobody knows whether it was asked
+// where a map tells some vertices; what is told has no noise.
 void smooth_traced(const VertexTracer& tracer, const prt::Mesh& mesh,
-                   const lighting::DistantLight& source, Sums& sums) {
+                   const lighting::DistantLight& source, bool some_told, Sums& sums) {
   thread_local std::vector<std::uint8_t> directions_memory;  // grows once per thread
   std::vector<std::uint8_t>& directions = directions_memory;
   directions.resize(sums.size());
   parallel_for(std::size_t{0}, sums.size(), 4096, [&](const auto& part) {
-    for (std::size_t i = part.begin(); i < part.end(); ++i) directions[i] = tracer.directions(i);
+    for (std::size_t i = part.begin(); i < part.end(); ++i) {
+      directions[i] = tracer.directions(i);
+      if (some_told && directions[i] == 1) directions[i] = 0;
+    }
   });
   smooth_noise_over_neighbours(mesh, source, directions, sums);
 }
@@ -296,10 +300,12 @@ void trace_among_others(const VertexTracer& tracer, const prt::Mesh& mesh,
   if (!averaged) return;
   // What is looked up has no noise that neighbours could share, and more directions.
   shared.resize(sums.size());
-  for (std::size_t i = 0; i < sums.size(); ++i) {
-    const float open = sums[i].open > 0 ? tracer.open(i) : 0;
-    shared[i] = {open > 0 ? open * sums[i].seen / sums[i].open : 0, open};
-  }
+  parallel_for(std::size_t{0}, sums.size(), 4096, [&, &all = shared](const auto& part) {
+    for (std::size_t i = part.begin(); i < part.end(); ++i) {
+      const float open = sums[i].open > 0 ? tracer.open(i) : 0;
+      all[i] = {open > 0 ? open * sums[i].seen / sums[i].open : 0, open};
+    }
+  });
   directions.assign(sums.size(), 0);
   for (const std::uint32_t i : reached) {
     shared[i] = sums[i];
@@ -326,10 +332,13 @@ void smooth_hidden(const prt::Mesh& mesh, const lighting::DistantLight& source,
 // What real things take, and what all take, so that both together take no more than there is.
 void smooth_occlusion(const prt::Mesh& mesh, const lighting::DistantLight& source,
                       const SamplePattern& pattern, DirectLightAtVertices& out) {
-  thread_local std::vector<std::uint8_t> directions;  // grows once per thread
+  thread_local std::vector<std::uint8_t> directions_memory;  // grows once per thread
+  std::vector<std::uint8_t>& directions = directions_memory;
   directions.resize(out.open.size());
-  for (std::size_t i = 0; i < directions.size(); ++i)
-    directions[i] = static_cast<std::uint8_t>(pattern.count_before(i, mesh.normals[i]));
+  parallel_for(std::size_t{0}, directions.size(), 4096, [&](const auto& part) {
+    for (std::size_t i = part.begin(); i < part.end(); ++i)
+      directions[i] = static_cast<std::uint8_t>(pattern.count_before(i, mesh.normals[i]));
+  });
   std::vector<float>& taken = out.virtual_occlusion;
   for (std::size_t i = 0; i < taken.size(); ++i) taken[i] += out.real_occlusion[i];
   smooth_hidden(mesh, source, directions, out.open, out.real_occlusion);
@@ -375,7 +384,7 @@ void trace_direct_light(const RayOccluders& occluders, const ShadowCasters& cast
   } else {
     sums.assign(count, {});
     trace_vertices(tracer, object, source, others, use, samples, {tracer, averaged, sums}, sums);
-    if (averaged) smooth_traced(tracer, mesh, source, sums);
+    if (averaged) smooth_traced(tracer, mesh, source, use != LookupUse::kNone, sums);
   }
   // What is behind the plane is in neither sum.
   std::array<glm::vec3, kMaxSamples> memory;

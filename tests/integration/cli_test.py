@@ -22,12 +22,14 @@ import urllib.request
 import cli_files as files
 from cli_case import PATIENCE, CliTest, main, program
 
-SUMMARY_KEYS = {"frames", "dropped", "seconds", "fps", "stages", "configuration", "touched_fraction"}
+SUMMARY_KEYS = {"frames", "dropped", "seconds", "fps", "stages", "processor", "configuration",
+                "touched_fraction"}
 
 
 class DemoAndComposite(CliTest):
     def check_summary(self, summary):
         self.assertLessEqual(SUMMARY_KEYS, set(summary))
+        self.assertIsNone(summary["processor"])  # of a live run alone
         self.assertEqual(summary["frames"], 6)
         self.assertEqual(summary["dropped"], {"view": 0, "environment": 0, "unmatched_eyes": 0})
         self.assertEqual(summary["configuration"]["coverage"], 1)
@@ -129,6 +131,14 @@ class DemoAndComposite(CliTest):
         self.assertEqual((unknown["lower_bound"], unknown["within_budget"]), (True, False))
         self.assertIsNone(unknown["predicted_error"])
         self.assertIn("at least", unknown["why"])
+
+    def test_a_live_run_tells_its_processor_time(self):
+        spent = self.run_json("demo", "--headless", "--live", "--frames", 12, "--width", 160, "--height", 90,
+                              "--no-turntable", "--asset", "builtin:box", "--out", self.root / "live")["processor"]
+        self.assertEqual(set(spent), {f"{of}_ms" for of in ("pipeline", "drawing", "cameras", "encoding", "other")})
+        self.assertGreater(spent["pipeline_ms"], 0)
+        self.assertGreater(spent["encoding_ms"], 0)
+        self.assertTrue(all(ms >= 0 for ms in spent.values()), spent)
 
     def test_record_is_refused_before_the_work_and_leftovers_are_not_results(self):
         record, out = self.root / "again", self.root / "again-out"

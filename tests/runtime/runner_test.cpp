@@ -148,6 +148,13 @@ TEST(Replay, MirrorBallInTheViewCamerasPictureIsAllTheLightThatItNeeds) {
     const auto counts = live ? run_live(source, light, **compose, sink, times, stop)
                              : run_replay(source, light, **compose, sink, times);
     ASSERT_TRUE(counts) << counts.error().detail;
+    EXPECT_EQ(counts->processor.has_value(), live);
+    if (live) {
+      EXPECT_GT(counts->processor->pipeline_ms, 0);
+      EXPECT_GT(counts->processor->cameras_ms, 0) << "the studio films";
+      EXPECT_GE(counts->processor->drawing_ms, 0);
+      EXPECT_GE(counts->processor->other_ms, 0);
+    }
     if (live) continue;  // how many frames it takes in time is the machine's
     EXPECT_EQ(counts->frames, 5u);
     EXPECT_EQ(counts->without_light, 0u);

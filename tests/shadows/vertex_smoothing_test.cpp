@@ -64,10 +64,18 @@ SharedErrors share(const prt::Mesh& mesh, const std::vector<float>& truth, int d
           error_of(ours, truth, where)};
 }
 
-// Whose directions are not stratified.
+// A form with so far to its rim.
 lighting::DistantLight form_above(double radius_deg) {
   lighting::DistantLight out = lamp_above(radius_deg);
-  for (int k = 0; k < lighting::DistantLight::kShapePoints; ++k) out.shape.push_back(out.direction);
+  const glm::dvec3 across = glm::normalize(glm::cross(out.direction, glm::dvec3(0, 0, 1))),
+                   along = glm::cross(out.direction, across);
+  const double reach = std::tan(radius_deg * kPi / 180);
+  for (int k = 0; k < lighting::DistantLight::kShapePoints; ++k) {
+    const double r = reach * std::sqrt((k + .5) / lighting::DistantLight::kShapePoints),
+                 angle = 2.399963 * k;
+    out.shape.push_back(
+        glm::normalize(out.direction + r * std::cos(angle) * across + r * std::sin(angle) * along));
+  }
   return out;
 }
 
@@ -113,7 +121,7 @@ TEST(SharedNoise, AnEdgeInsideAPenumbraStays) {
   }
 }
 
-// A row knows all, the others have four directions each.
+// However their fractions came about.
 TEST(SharedNoise, WhatIsKnownKeepsItsEdges) {
   const prt::Mesh mesh = sheet(30);
   std::vector<prt::CosineSums> sums;
@@ -198,6 +206,7 @@ TEST(SharedNoise, RealAndVirtualThingsTakeNoMoreThanThereIs) {
   ASSERT_TRUE(virtual_things.add(near) && real_things.add(far));
   for (const bool form : {false, true}) {
     const lighting::DistantLight source = form ? form_above(12) : lamp_above(12);
+    ASSERT_TRUE(is_wide(source));
     DirectLightAtVertices light;
     trace_direct_light_at_vertices({&virtual_things, &real_things, 1e-4f}, ground, source, 4,
                                    light);

@@ -10,6 +10,7 @@
 #include "codec/display.h"
 #include "core/io/files.h"
 #include "core/io/log.h"
+#include "core/threads/processor_time.h"
 #include "tools/runs/side_by_side.h"
 
 namespace penumbra::tools {
@@ -130,6 +131,7 @@ Result<void> FrameWriter::finish() {
 template <class Job>
 void FrameWriter::work(Bounded<Job>& queue,
                        Result<void> (FrameWriter::*handle)(const Job&)) noexcept {
+  const SpendingOn spending(ProcessorUse::kEncoding);
   try {
     while (auto job = queue.pop())
       if (auto handled = (this->*handle)(*job); !handled) return give_up(std::move(handled));

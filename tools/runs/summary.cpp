@@ -70,9 +70,9 @@ void print_summary(const nlohmann::json& s) {
   if (const auto& p = s["processor"]; !p.is_null())
     fmt::print(
         "processor time a frame: {:.1f} ms for the pipeline, {:.1f} for drawing without a GPU, "
-        "{:.1f} for cameras, {:.1f} for the rest (encoding, files)\n",
+        "{:.1f} for cameras, {:.1f} for encoding and writing, {:.1f} for the rest\n",
         p["pipeline_ms"].get<double>(), p["drawing_ms"].get<double>(),
-        p["cameras_ms"].get<double>(), p["other_ms"].get<double>());
+        p["cameras_ms"].get<double>(), p["encoding_ms"].get<double>(), p["other_ms"].get<double>());
   fmt::print("{:<16} {:>8} {:>10} {:>10}\n", "stage", "count", "p50 ms", "p99 ms");
   for (const auto& [name, stage] : s["stages"].items())
     fmt::print("{:<16} {:>8} {:>10.3f} {:>10.3f}\n", name, stage["count"].get<int>(),
