@@ -30,7 +30,7 @@ std::int64_t& of_use(SpentNs& spent, ProcessorUse use) {
   return spent[static_cast<std::size_t>(use)];
 }
 
-// Of one thread, which alone changes it.
+// Of one thread, which alone says what it is on; whoever asks counts it up to then.
 class Spending {
  public:
   Spending();

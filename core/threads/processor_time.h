@@ -34,7 +34,7 @@ class SpendingOn {
 /// Milliseconds of all cores so far.
 struct ProcessorTimes {
   double pipeline_ms = 0;
-  double drawing_ms = 0;   // threads of OpenGL without a GPU (Mesa's llvmpipe)
+  double drawing_ms = 0;   // threads of OpenGL without a GPU (Mesa's llvmpipe) that live
   double cameras_ms = 0;   // that are read, or that a studio films
   double encoding_ms = 0;  // pictures and videos, and writing them
   double other_ms = 0;
