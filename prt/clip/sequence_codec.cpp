@@ -104,7 +104,6 @@ class SequenceCodec::Encoder {
   // error: that run() is going to ask for
   Encoder(std::span<const Transfer> frames, const StreamLayout& layout, double error)
       : frames_(frames),
-        layout_(layout),
         order_(order_by_bone(layout)),
         coefficients_(coefficient_count(frames[0].bands)),
         error_(error) {
@@ -293,7 +292,6 @@ class SequenceCodec::Encoder {
   }
 
   std::span<const Transfer> frames_;
-  const StreamLayout& layout_;
   std::vector<std::uint32_t> order_;
   int coefficients_;
   double error_;

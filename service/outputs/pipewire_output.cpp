@@ -16,6 +16,9 @@
 #include "service/outputs/frame_output.h"
 #include "service/outputs/internal/frame_sink.h"
 
+#pragma GCC diagnostic push
+#pragma GCC diagnostic ignored "-Wpedantic"  // PipeWire's macros are GNU C
+
 namespace penumbra::service {
 
 namespace {
@@ -288,3 +291,5 @@ Result<std::unique_ptr<FrameOutput>> FrameOutput::to_pipewire(const PipeWireNode
 }
 
 }  // namespace penumbra::service
+
+#pragma GCC diagnostic pop

@@ -49,13 +49,19 @@ std::vector<BoardView> simulate(const CameraModel& camera, int count, std::uint3
   std::mt19937 random(seed);
   std::normal_distribution<double> noise(0, kNoisePx);
   std::uniform_real_distribution<double> unit(-1, 1);
+  // One number a statement: compilers differ in which argument they draw first.
+  const auto draw = [&random](auto& from) {
+    const double y = from(random);
+    return glm::dvec2(from(random), y);
+  };
   std::vector<BoardView> out;
   while (static_cast<int>(out.size()) < count) {
-    const glm::dvec2 aim = glm::dvec2(kLensWidth, kLensHeight) / 2. *
-                           (1. + .85 * spread * glm::dvec2(unit(random), unit(random)));
+    const glm::dvec2 aim =
+        glm::dvec2(kLensWidth, kLensHeight) / 2. * (1. + .85 * spread * draw(unit));
     const auto towards = direction_from_pixel(camera, aim);
     if (!towards) continue;
-    const glm::dvec3 axis(unit(random), unit(random), .4 * unit(random));
+    const double along = .4 * unit(random);
+    const glm::dvec3 axis(draw(unit), along);
     // Turned first as it is held, then towards the camera.
     const glm::dquat face =
         flat ? glm::dquat(1, 0, 0, 0) : glm::rotation(glm::dvec3(0, 0, -1), *towards);
@@ -69,7 +75,7 @@ std::vector<BoardView> simulate(const CameraModel& camera, int count, std::uint3
       const auto pixel = pixel_from_direction(camera, centre + face * (tilt * local));
       if (!pixel) continue;
       view.on_board_m.push_back(at);
-      view.pixels.push_back(*pixel + glm::dvec2(noise(random), noise(random)));
+      view.pixels.push_back(*pixel + draw(noise));
     }
     if (view.pixels.size() == kColumns * kRows) out.push_back(std::move(view));
   }

@@ -21,7 +21,8 @@ TEST(Scratch, ServesAgainFromTheSameMemoryOnceItHasGrown) {
     const Scratch::Scope scope;
     const Numbers numbers = counted(scope, 10'000);
     EXPECT_EQ(numbers.back(), 9'999);
-    return reinterpret_cast<std::uintptr_t>(numbers.data());
+    const auto place = reinterpret_cast<std::uintptr_t>(numbers.data());
+    return place;
   };
   (void)address();  // grows
   const auto second = address();

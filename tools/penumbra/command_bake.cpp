@@ -21,6 +21,7 @@
 #include "tools/farm/slurm_flags.h"
 #include "tools/penumbra/bake_options.h"
 #include "tools/penumbra/commands.h"
+#include "tools/penumbra/memory_report.h"
 
 namespace penumbra::tools {
 
@@ -68,6 +69,7 @@ Result<void> bake(const BakeCommandOptions& o) {
   PENUMBRA_TRY(prt::write_baked(o.output, *baked));
   const prt::BakeReport& r = baked->report;
   const auto bytes = std::filesystem::file_size(o.output);
+  const nlohmann::json memory = report_memory(*baked);
   if (o.json) {
     print_json({{"vertices", baked->mesh.positions.size()},
                 {"texels", baked->ground_deficit.points},
@@ -77,16 +79,18 @@ Result<void> bake(const BakeCommandOptions& o) {
                 {"seconds", r.seconds},
                 {"rays_per_second", static_cast<double>(r.rays) / r.seconds},
                 {"standard_error", r.standard_error},
-                {"bytes", bytes}});
+                {"bytes", bytes},
+                {"memory", memory}});
   } else {
     fmt::print(
         "{}: {} vertices and {} receiver texels, {} coefficients, {:.1f} M rays in {:.2f} s "
         "({:.2f} M/s), "
-        "standard error {:.2f} % of t_0, {:.2f} MB\n",
+        "standard error {:.2f} % of t_0, file of {:.2f} MB, {:.2f} MB of memory while it is "
+        "drawn\n",
         o.output, baked->mesh.positions.size(), baked->ground_deficit.points,
         coefficient_count(baked->transfer.bands), static_cast<double>(r.rays) * 1e-6, r.seconds,
         static_cast<double>(r.rays) * 1e-6 / r.seconds, 100 * r.standard_error,
-        static_cast<double>(bytes) * 1e-6);
+        static_cast<double>(bytes) * 1e-6, memory["without_lights_mb"].get<double>());
   }
   return {};
 }

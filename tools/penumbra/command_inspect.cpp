@@ -30,6 +30,7 @@
 #include "tools/common/print.h"
 #include "tools/penumbra/commands.h"
 #include "tools/penumbra/inspect_mesh.h"
+#include "tools/penumbra/memory_report.h"
 
 namespace penumbra::tools {
 
@@ -79,7 +80,8 @@ Result<json> inspect_baked(const std::string& file) {
               {"bands", baked.transfer.bands},
               {"channels", baked.transfer.channels},
               {"rays", baked.report.rays},
-              {"standard_error", baked.report.standard_error}};
+              {"standard_error", baked.report.standard_error},
+              {"memory", report_memory(baked)}};
   if (baked.receiver) {
     const prt::GroundGrid& g = baked.receiver->grid;
     out["receiver"] = {

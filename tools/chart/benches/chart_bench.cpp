@@ -23,6 +23,7 @@
 #include "runtime/governor/governor_config.h"
 #include "runtime/pipeline/stage_access.h"
 #include "runtime/shading/composite_stage.h"
+#include "runtime/shading/object_memory.h"
 #include "tools/chart/governor/governor_bench.h"
 #include "tools/chart/measures/flip.h"
 #include "tools/common/progress.h"
@@ -65,12 +66,6 @@ runtime::LightTime time_updates(runtime::CompositeStage& stage,
   const int runs = light.lights.size() > kManyLights ? 1 : kRuns;  // these take seconds
   return runtime::time_single_threaded(
       runs, [&](int run) { stage.shade(turned(light, kTurn * (runs - run)), 0); });
-}
-
-// With what a look-up asks first.
-std::size_t of_visibility(const prt::VisibilityMap& s) {
-  return s.open.size() * sizeof(s.open[0]) + s.fine.size() * sizeof(s.fine[0]) +
-         s.refined.size() * (sizeof(s.refined[0]) + sizeof(prt::VisibilityHead));
 }
 
 }  // namespace
@@ -161,17 +156,10 @@ Result<runtime::LightTime> time_updates(const ChartScene& bench,
 std::size_t memory_of(const runtime::PreparedScene& scene, std::size_t lights, int map_size) {
   std::size_t bytes = 0;
   for (const runtime::PreparedObject& o : scene.objects) {
-    const runtime::RelightBases bases(o.baked);
-    const prt::Transfer& deficit = o.baked.ground_deficit;  // its first channel is kept
-    bytes += bases.surface.bytes() + bases.ground.bytes() +
-             deficit.values.size() / static_cast<std::size_t>(deficit.channels) *
-                 sizeof(deficit.values[0]);
-    if (lights == 0) continue;
-    bytes += of_visibility(o.baked.visibility);
-    bytes += lights *
-             (static_cast<std::size_t>(map_size) * static_cast<std::size_t>(map_size) +
-              o.baked.transfer.points) *
-             sizeof(float);
+    const runtime::ObjectMemory memory =
+        runtime::memory_of(o.baked, runtime::RelightBases(o.baked), map_size);
+    bytes += memory.surface + memory.ground + memory.shadows;
+    if (lights > 0) bytes += memory.visibility + lights * memory.bytes_a_light;
   }
   return bytes;
 }
