@@ -8,7 +8,7 @@
 #include "codec/internal/formats.h"
 #include "codec/internal/frame_codecs.h"
 #include "codec/internal/frame_header.h"
-#include "codec/log_jpeg2000.h"
+#include "codec/log/log_jpeg2000.h"
 #include "core/io/files.h"
 
 namespace penumbra::codec {

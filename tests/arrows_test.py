@@ -26,7 +26,7 @@ runtime/governor runtime/pipeline runtime/studio
 service/client service/openxr service/scene service/recording service/outputs service/headset
 service/poses service/http service
 tools/common tools/plots tools/farm tools/runs tools/pictures tools/demo tools/penumbrad tools/penumbra tools/calibrate
-tools/chart/measures tools/chart/governor tools/chart/benches tools/chart/peers tools/chart""".split()
+tools/chart/measures tools/chart/governor tools/chart/benches tools/chart/peers tools/chart/charts tools/chart""".split()
 # All public headers of a room, for programs and tests; the library itself includes what it needs.
 UMBRELLAS = {f"{room}/{room}.h" for room in ("calib", "capture", "lighting", "prt", "shadows")}
 

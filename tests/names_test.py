@@ -45,12 +45,12 @@ HTTP, REPORT = "service/http/state_json.cpp", "runtime/pipeline/report.h"
 SUMMARY = "tools/runs/summary.cpp: summarise("
 CONFIGURATION = SUMMARY + ' > {"configuration"'
 RECORD = "tools/penumbra/command_record.cpp: to_json("
-BAKE = "tools/penumbra/command_bake.cpp: print_json("
+BAKE = "tools/penumbra/bake/command_bake.cpp: print_json("
 MERGE = "tools/penumbra/command_hdr.cpp: print_json("
 ENVIRONMENT = "tools/penumbra/command_environment.cpp"
 FLAGS = "tools/farm/slurm_flags.cpp"
-CLIP, SENSOR = "tools/penumbra/command_bake_clip.cpp", "tools/chart/command_chart_sensor.cpp"
-CHART = "tools/chart/chart_plot.cpp: chart_row("
+CLIP, SENSOR = "tools/penumbra/bake/command_bake_clip.cpp", "tools/chart/command_chart_sensor.cpp"
+CHART = "tools/chart/charts/chart_plot.cpp: chart_row("
 TABLES = {
     "scene.md": {
         "The file": [f"{SCENE}: read_scene( > known[]"],
@@ -397,7 +397,7 @@ def mentioned_with(old="", new=""):
 
 def columns_of(header):
     row = 'Json chart_row(Point p) {\n  return {{"a", p.a}, {"lights", 1}, {"memory_bytes", 2}};\n}\n'
-    return wrong_columns(header, {"tools/chart/chart_plot.cpp": row})
+    return wrong_columns(header, {"tools/chart/charts/chart_plot.cpp": row})
 
 
 def right_names():

@@ -8,7 +8,7 @@
 #include <glm/vec3.hpp>
 
 #include "capture/recording/internal/recording_format.h"
-#include "codec/log_luv.h"
+#include "codec/log/log_luv.h"
 #include "core/conventions.h"
 
 extern "C" {

@@ -4,7 +4,7 @@
 
 #include <cassert>
 
-#include "compositor/layers/gl.h"
+#include "compositor/layers/gl/gl.h"
 #include "compositor/pixels/layered_rows.h"
 #include "compositor/pixels/pixel_pass.h"
 #include "compositor/pixels/sensor_effects.h"

@@ -6,7 +6,7 @@
 #include <span>
 #include <vector>
 
-#include "compositor/layers/gl.h"
+#include "compositor/layers/gl/gl.h"
 #include "compositor/projection.h"
 #include "core/result.h"
 

@@ -6,7 +6,7 @@
 #include <optional>
 
 #include "compositor/foreground.h"
-#include "compositor/layers/gl.h"
+#include "compositor/layers/gl/gl.h"
 
 namespace penumbra::compositor {
 

@@ -16,7 +16,7 @@
 #include <vector>
 
 #include "compositor/layers/drawn_vertices.h"
-#include "compositor/layers/gl.h"
+#include "compositor/layers/gl/gl.h"
 #include "compositor/layers/glossy_program.h"
 #include "compositor/surroundings.h"
 #include "core/pose.h"

@@ -14,7 +14,7 @@
 #include <vector>
 
 #include "compositor/layers/foreground_textures.h"
-#include "compositor/layers/gl.h"
+#include "compositor/layers/gl/gl.h"
 #include "compositor/layers/glossy_program.h"
 #include "compositor/projection.h"
 #include "compositor/view_lens.h"

@@ -10,7 +10,7 @@
 #include "compositor/layers/canvas.h"
 #include "compositor/layers/contour.h"
 #include "compositor/layers/drawn_vertices.h"
-#include "compositor/layers/gl.h"
+#include "compositor/layers/gl/gl.h"
 #include "compositor/layers/glossy.h"
 #include "compositor/layers/layer_programs.h"
 #include "compositor/projection.h"

@@ -2,7 +2,7 @@
 
 #include <algorithm>
 
-#include "compositor/layers/gl.h"
+#include "compositor/layers/gl/gl.h"
 #include "service/headset/internal/headset_graphics.h"
 #include "service/headset/internal/openxr_headers.h"
 

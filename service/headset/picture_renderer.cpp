@@ -9,7 +9,7 @@
 #include <variant>
 
 #include "codec/display.h"
-#include "compositor/layers/gl.h"
+#include "compositor/layers/gl/gl.h"
 #include "service/headset/internal/lens_mesh.h"
 
 namespace penumbra::service {

@@ -7,7 +7,7 @@
 
 #include "capture/capture.h"
 #include "codec/codec.h"
-#include "codec/log_jpeg2000.h"
+#include "codec/log/log_jpeg2000.h"
 #include "core/conventions.h"
 #include "core/io/files.h"
 #include "tests/support/temp_folder.h"

@@ -1,4 +1,4 @@
-#include "codec/log_jpeg2000.h"
+#include "codec/log/log_jpeg2000.h"
 
 #include <gtest/gtest.h>
 

@@ -3,7 +3,7 @@
 
 #include "codec/codec.h"
 #include "codec/gain_map_jpeg.h"
-#include "codec/log_jpeg2000.h"
+#include "codec/log/log_jpeg2000.h"
 
 // libFuzzer's entry point, by its own name and types.
 extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {

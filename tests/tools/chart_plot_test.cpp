@@ -1,4 +1,4 @@
-#include "tools/chart/chart_plot.h"
+#include "tools/chart/charts/chart_plot.h"
 
 #include <gtest/gtest.h>
 

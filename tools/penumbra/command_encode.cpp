@@ -9,7 +9,7 @@
 #include <string>
 
 #include "codec/codec.h"
-#include "codec/log_jpeg2000.h"
+#include "codec/log/log_jpeg2000.h"
 #include "core/io/files.h"
 #include "core/io/log.h"
 #include "tools/common/command.h"

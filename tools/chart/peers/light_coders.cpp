@@ -7,7 +7,7 @@
 #include <cmath>
 #include <memory>
 
-#include "codec/log_luv.h"
+#include "codec/log/log_luv.h"
 #include "tools/chart/peers/internal/ffmpeg_owned.h"
 
 extern "C" {

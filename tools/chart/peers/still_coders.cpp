@@ -12,7 +12,7 @@
 
 #include "codec/codec.h"
 #include "codec/gain_map_jpeg.h"
-#include "codec/log_jpeg2000.h"
+#include "codec/log/log_jpeg2000.h"
 #include "codec/tone/tone_mapping.h"
 #include "tools/chart/peers/internal/jpeg_xl.h"
 #include "tools/chart/peers/light_coders.h"

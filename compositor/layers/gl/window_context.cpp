@@ -3,7 +3,7 @@
 
 #include <algorithm>
 
-#include "compositor/layers/gl.h"
+#include "compositor/layers/gl/gl.h"
 
 namespace penumbra::compositor {
 

@@ -1,4 +1,4 @@
-#include "tools/chart/rate_chart.h"
+#include "tools/chart/charts/rate_chart.h"
 
 #include <fmt/format.h>
 

@@ -19,7 +19,7 @@
 #include "tools/common/progress.h"
 #include "tools/farm/shard_choice.h"
 #include "tools/farm/slurm_flags.h"
-#include "tools/penumbra/bake_options.h"
+#include "tools/penumbra/bake/bake_options.h"
 #include "tools/penumbra/commands.h"
 #include "tools/penumbra/memory_report.h"
 

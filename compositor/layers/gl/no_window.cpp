@@ -1,5 +1,5 @@
 // Built instead of window_context.cpp where GLFW is absent or switched off.
-#include "compositor/layers/gl.h"
+#include "compositor/layers/gl/gl.h"
 
 namespace penumbra::compositor {
 

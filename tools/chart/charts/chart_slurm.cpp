@@ -1,4 +1,4 @@
-#include "tools/chart/chart_slurm.h"
+#include "tools/chart/charts/chart_slurm.h"
 
 #include <fmt/format.h>
 
@@ -8,7 +8,7 @@
 #include <string>
 #include <vector>
 
-#include "tools/chart/chart_shards.h"
+#include "tools/chart/charts/chart_shards.h"
 #include "tools/farm/clip_stages.h"
 #include "tools/farm/shard_choice.h"
 #include "tools/farm/shard_file.h"

@@ -1,4 +1,4 @@
-#include "tools/chart/chart_environments.h"
+#include "tools/chart/charts/chart_environments.h"
 
 #include <filesystem>
 #include <utility>

@@ -12,7 +12,7 @@
 #include "tools/farm/clip_stages.h"
 #include "tools/farm/shard_file.h"
 #include "tools/farm/slurm_flags.h"
-#include "tools/penumbra/bake_options.h"
+#include "tools/penumbra/bake/bake_options.h"
 
 namespace penumbra::tools {
 

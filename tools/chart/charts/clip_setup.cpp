@@ -1,4 +1,4 @@
-#include "tools/chart/clip_setup.h"
+#include "tools/chart/charts/clip_setup.h"
 
 #include <algorithm>
 

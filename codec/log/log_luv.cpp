@@ -1,4 +1,4 @@
-#include "codec/log_luv.h"
+#include "codec/log/log_luv.h"
 
 #include <algorithm>
 #include <array>

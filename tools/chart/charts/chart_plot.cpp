@@ -1,4 +1,4 @@
-#include "tools/chart/chart_plot.h"
+#include "tools/chart/charts/chart_plot.h"
 
 #include <fmt/format.h>
 
@@ -12,7 +12,7 @@
 
 #include "core/counted.h"
 #include "core/io/files.h"
-#include "tools/chart/plots.h"
+#include "tools/chart/charts/plots.h"
 #include "tools/plots/gnuplot.h"
 
 namespace penumbra::tools {

@@ -19,7 +19,7 @@
 #include "tools/farm/core_limit.h"
 #include "tools/farm/shard_choice.h"
 #include "tools/farm/shard_file.h"
-#include "tools/penumbra/bake_options.h"
+#include "tools/penumbra/bake/bake_options.h"
 
 namespace penumbra::tools {
 

@@ -6,7 +6,7 @@
 #include <cstring>
 #include <vector>
 
-#include "compositor/layers/gl.h"
+#include "compositor/layers/gl/gl.h"
 
 namespace penumbra::compositor {
 

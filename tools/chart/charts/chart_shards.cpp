@@ -1,4 +1,4 @@
-#include "tools/chart/chart_shards.h"
+#include "tools/chart/charts/chart_shards.h"
 
 #include <fmt/format.h>
 
@@ -10,7 +10,7 @@
 #include "core/io/files.h"
 #include "core/io/hash.h"
 #include "runtime/scene/scene.h"
-#include "tools/chart/light_chart.h"
+#include "tools/chart/charts/light_chart.h"
 #include "tools/farm/shard_file.h"
 
 namespace penumbra::tools {

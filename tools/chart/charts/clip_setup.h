@@ -8,7 +8,7 @@
 #include "core/result.h"
 #include "prt/clip/sequence.h"
 #include "runtime/scene/animated.h"
-#include "tools/chart/chart_options.h"
+#include "tools/chart/charts/chart_options.h"
 #include "tools/farm/shard_choice.h"
 
 namespace penumbra::tools {

@@ -1,4 +1,4 @@
-#include "tools/chart/light_chart.h"
+#include "tools/chart/charts/light_chart.h"
 
 #include <fmt/format.h>
 

@@ -5,8 +5,8 @@
 #include <cstddef>
 
 #include "core/result.h"
-#include "tools/chart/chart_options.h"
-#include "tools/chart/clip_setup.h"
+#include "tools/chart/charts/chart_options.h"
+#include "tools/chart/charts/clip_setup.h"
 
 namespace penumbra::tools {
 

@@ -7,9 +7,9 @@
 #include <vector>
 
 #include "core/result.h"
-#include "tools/chart/chart_environments.h"
-#include "tools/chart/chart_options.h"
-#include "tools/chart/chart_plot.h"
+#include "tools/chart/charts/chart_environments.h"
+#include "tools/chart/charts/chart_options.h"
+#include "tools/chart/charts/chart_plot.h"
 #include "tools/farm/shard_choice.h"
 
 namespace penumbra::tools {
