@@ -1,5 +1,7 @@
 #include "runtime/shading/object_memory.h"
 
+#include "prt/transfer/visibility_map.h"
+
 namespace penumbra::runtime {
 
 namespace {

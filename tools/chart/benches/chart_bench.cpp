@@ -18,7 +18,6 @@
 #include "lighting/sh/rotation.h"
 #include "prt/geometry/pinhole_view.h"
 #include "prt/transfer/transfer.h"
-#include "prt/transfer/visibility_map.h"
 #include "runtime/direct/direct_light_stage.h"
 #include "runtime/governor/governor_config.h"
 #include "runtime/pipeline/stage_access.h"
