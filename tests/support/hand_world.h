@@ -171,6 +171,7 @@ inline Image<Rgb16> film_depth(const HandWorld& world, const calib::CameraModel&
   std::uniform_real_distribution<double> uniform;
   const auto depth_at = [&](double x, double y) -> double {
     const auto ray = calib::direction_from_pixel(camera, {x, y});
+    if (!ray) return 0;
     const glm::dvec3 unit = glm::normalize(*ray);
     const auto d = world.distance(world_from_camera.translation, world_from_camera.rotation * unit);
     return d ? *d * -unit.z : 0;
