@@ -6,9 +6,11 @@
 #include <bit>
 #include <chrono>
 #include <cmath>
+#include <map>
 #include <mutex>
 #include <optional>
 #include <span>
+#include <tuple>
 #include <utility>
 
 #include "core/half.h"
@@ -17,6 +19,7 @@
 #include "lighting/sh/irradiance.h"
 #include "prt/bake/bake.h"
 #include "prt/bake/bake_rules.h"
+#include "prt/bake/internal/hemi_oct_sums.h"
 #include "prt/bake/internal/visibility_bake.h"
 #include "prt/geometry/mesh.h"
 #include "prt/geometry/receiver.h"
@@ -31,9 +34,8 @@ namespace {
 
 constexpr int kLanes = RayScene::kPacket;
 static_assert(kLanes == lighting::kBasisLanes);
-constexpr int kManyRays = 512;        // a quarter of them is enough for reflected light
-constexpr std::size_t kChunk = 64;    // points a task takes at once
-constexpr double kFineFraction = .2;  // of a bake's progress
+constexpr int kManyRays = 512;      // a quarter of them is enough for reflected light
+constexpr std::size_t kChunk = 64;  // points a task takes at once
 constexpr int kFloorAgainBands = 5;
 
 struct BakePoint {
@@ -41,18 +43,18 @@ struct BakePoint {
   int rays;
 };
 
-// Where a blocked ray ended: a triangle's inside point, or the receiver.
+// Where a blocked ray ended: a vertex of the triangle or texel of the receiver around it, chosen by
+// its weight in the interpolation.
 struct BounceHit {
-  static constexpr std::uint32_t kGround = 0xfffffffeu;
-  std::uint32_t triangle;
-  float u, v;    // barycentric, or the receiver's texture coordinates
+  static constexpr std::uint32_t kBeyond = 0xfffffffeu;  // the receiver beyond its grid
+  std::uint32_t point;
   float weight;  // fraction of this ray in the point's transfer
 };
 
 struct PointResult {
-  std::vector<float> blocked;  // sum over blocked rays of w Y_n
-  float group_blocked[4] = {};
-  float behind = 0;  // weight of rays that met a back face
+  std::vector<float> blocked;                      // sum over blocked rays of w Y_n
+  float blocked_fraction = 0, standard_error = 0;  // of the cosine
+  float behind = 0;                                // weight of rays that met a back face
   std::vector<BounceHit> hits;
   float all_hits = 0;  // weight of all hits, kept or not
 };
@@ -79,25 +81,35 @@ class Baker {
 
  private:
   void add_receiver_points(const GroundGrid& grid);
+  int ground_rays_at(const glm::vec3& position) const;
   bool is_ground_point(std::size_t i) const { return i >= mesh_.positions.size(); }
   float plane_height() const { return (options_.receiver->grid.height - centre_.y) * scale_; }
   bool grey() const;
   void trace_point(const RayScene& scene, const RayPatterns& patterns, std::size_t index,
                    PointResult& out) const;
+  std::uint64_t trace_points(const RayScene& scene, std::size_t first, double progress,
+                             std::vector<PointResult>& out);
+  std::uint64_t trace_by_visibility(const RayScene& scene, double progress,
+                                    std::vector<PointResult>& out);
+  void trace_wide(const RayScene& scene, const HemiOctSums& sums, std::size_t index,
+                  VisibilityBake& visibility, PointResult& out) const;
   std::uint64_t trace_all(const RayScene& scene, std::vector<PointResult>& out);
+  void for_points(std::size_t first, std::size_t last, double progress,
+                  const std::function<void(std::size_t)>& act);
   void keep_hits(const RayScene::RayPacket& packet, const glm::vec3& origin, const float* weight,
-                 const std::uint8_t* groups, bool ground_point, std::uint32_t blocked,
+                 const std::uint8_t* groups, std::size_t index, std::uint32_t blocked,
                  PointResult& out) const;
+  std::uint32_t nearby_vertex(const RayScene::RayPacket& packet, int ray, float choice) const;
+  std::uint32_t nearby_texel(const glm::vec3& origin, const RayScene::RayPacket& packet, int ray,
+                             float choice) const;
   std::uint32_t ground_mask(const RayScene::RayPacket& packet) const;
   void start_transfer(std::size_t index, const PointResult& result);
   void bounce(std::size_t index, const std::vector<BounceHit>& hits);
   void bounce_all(const std::vector<PointResult>& results, int bounces, double progress);
   void gather_from_floor(const std::vector<PointResult>& results, std::span<const float> far);
   void bake_floor(const std::vector<PointResult>& results, BakedObject& out);
-  std::array<double, 3> added_by_last_bounce() const;
-  void add_further_bounces(const std::array<double, 3>& fraction);
-  void add_ground_bounce(const BounceHit& hit, int channel, float albedo,
-                         std::span<const float> far, float* sum) const;
+  std::array<double, 3> sum_of_constants(const std::vector<float>& transfer) const;
+  void add_further_bounces(const std::array<double, 3>& before, const std::array<double, 3>& last);
   void report_progress(double fraction);
   std::vector<PointQuality> quality(const std::vector<PointResult>& results) const;
   double standard_error(const std::vector<PointResult>& results,
@@ -108,10 +120,12 @@ class Baker {
   Transfer packed(std::size_t first, std::size_t count, int bands) const;
   Transfer shadow_probes() const;
 
+  std::size_t place(std::size_t point, int channel) const {
+    return (point * static_cast<std::size_t>(channels_) + static_cast<std::size_t>(channel)) *
+           coefficients_;
+  }
   const float* transfer_at(std::size_t point, int channel) const {
-    return &current_[(point * static_cast<std::size_t>(channels_) +
-                      static_cast<std::size_t>(channel)) *
-                     coefficients_];
+    return &current_[place(point, channel)];
   }
 
   const BakeOptions& options_;
@@ -122,10 +136,11 @@ class Baker {
   std::vector<BakePoint> points_;
   std::size_t coefficients_ = 0, solved_ = 0;  // kept, and what bounces are found for
   int channels_ = 1;
-  Rgb floor_albedo_;  // of the receiver, as far as its light is counted in
-  std::vector<float> shadowed_, current_, next_;  // [point][channel][n]
-  std::vector<float> ground_far_;                 // transfer of an unshadowed receiver, per n
-  std::vector<float> far_;                        // of what bounces, beyond the receiver's grid
+  Rgb floor_albedo_;                       // of the receiver, as far as its light is counted in
+  std::vector<float> shadowed_, current_;  // [point][channel][n]
+  std::vector<float> added_, next_;        // by the last bounce, by the next one
+  std::vector<float> ground_far_;          // transfer of an unshadowed receiver, per n
+  std::vector<float> far_;                 // of what bounces, beyond the receiver's grid
   VisibilityMap visibility_;
   std::mutex progress_mutex_;
   double progress_ = 0;
@@ -137,9 +152,18 @@ void Baker::add_receiver_points(const GroundGrid& grid) {
       const glm::vec2 p =
           grid.position({(static_cast<float>(i) + .5f) / static_cast<float>(grid.size),
                          (static_cast<float>(j) + .5f) / static_cast<float>(grid.size)});
-      const glm::vec3 world(p.x, grid.height, p.y);
-      points_.push_back({(world - centre_) * scale_, {0, 1, 0}, options_.ground_rays});
+      const glm::vec3 position = (glm::vec3(p.x, grid.height, p.y) - centre_) * scale_;
+      points_.push_back({position, {0, 1, 0}, ground_rays_at(position)});
     }
+}
+
+// Rays into a narrow cone have little weight each: fewer of them are as exact.
+int Baker::ground_rays_at(const glm::vec3& position) const {
+  const float distance = glm::length(position);
+  if (distance <= kConeFrom) return options_.ground_rays;
+  const float of_hemisphere = 1 - std::sqrt(1 - 1 / (distance * distance));
+  const int quarters = of_hemisphere > .25f ? 4 : of_hemisphere > .1f ? 2 : 1;
+  return std::max(64, options_.ground_rays * quarters / 4 / 64 * 64);
 }
 
 bool Baker::grey() const {
@@ -153,10 +177,16 @@ std::uint32_t Baker::ground_mask(const RayScene::RayPacket& packet) const {
   return mask;
 }
 
+// 0..1, even over the hits of a point and other ones at the next: steps of the golden ratio.
+static float choice_of(std::size_t point, std::size_t hit) {
+  const double at = .6180339887498949 * double(hit) + .7548776662466927 * double(point);
+  return static_cast<float>(at - std::floor(at));
+}
+
 // Of many rays one of the four groups stands for all (null: all are kept): reflected light is a
 // small and smooth part, and every hit is read again in every bounce.
 void Baker::keep_hits(const RayScene::RayPacket& packet, const glm::vec3& origin,
-                      const float* weight, const std::uint8_t* groups, bool ground_point,
+                      const float* weight, const std::uint8_t* groups, std::size_t index,
                       std::uint32_t blocked, PointResult& out) const {
   for (; blocked; blocked &= blocked - 1) {
     const int i = std::countr_zero(blocked);
@@ -165,19 +195,48 @@ void Baker::keep_hits(const RayScene::RayPacket& packet, const glm::vec3& origin
       out.behind += weight[i];
       continue;
     }
-    if (!on_object && ground_point) continue;
+    if (!on_object && is_ground_point(index)) continue;
     out.all_hits += weight[i];
     if (groups && groups[i] != 0) continue;
-    if (on_object) {
-      out.hits.push_back({packet.triangle[i], packet.u[i], packet.v[i], weight[i]});
-    } else {
-      const float t = std::max(0.f, (plane_height() - origin.y) / packet.y[i]);
-      const glm::vec2 here(origin.x + t * packet.x[i], origin.z + t * packet.z[i]);
-      const glm::vec2 uv =
-          options_.receiver->grid.uv(here / scale_ + glm::vec2(centre_.x, centre_.z));
-      out.hits.push_back({BounceHit::kGround, uv.x, uv.y, weight[i]});
-    }
+    const float choice = choice_of(index, out.hits.size());
+    const std::uint32_t point =
+        on_object ? nearby_vertex(packet, i, choice) : nearby_texel(origin, packet, i, choice);
+    out.hits.push_back({point, weight[i]});
   }
+}
+
+std::uint32_t Baker::nearby_vertex(const RayScene::RayPacket& packet, int ray, float choice) const {
+  const auto& t = mesh_.triangles[packet.triangle[ray]];
+  return choice < packet.u[ray] ? t[1] : choice < packet.u[ray] + packet.v[ray] ? t[2] : t[0];
+}
+
+std::uint32_t Baker::nearby_texel(const glm::vec3& origin, const RayScene::RayPacket& packet,
+                                  int ray, float choice) const {
+  const GroundGrid& grid = options_.receiver->grid;
+  const float t = std::max(0.f, (plane_height() - origin.y) / packet.y[ray]);
+  const glm::vec2 here(origin.x + t * packet.x[ray], origin.z + t * packet.z[ray]);
+  const glm::vec2 uv = grid.uv(here / scale_ + glm::vec2(centre_.x, centre_.z));
+  if (!(uv.x >= 0 && uv.x < 1 && uv.y >= 0 && uv.y < 1)) return BounceHit::kBeyond;
+  // One choice serves both axes: what it leaves of the first is as even.
+  const auto last = static_cast<float>(grid.size - 1);
+  const glm::vec2 at = glm::clamp(uv * static_cast<float>(grid.size) - .5f, 0.f, last);
+  const glm::vec2 low = glm::floor(at), within = at - low;
+  const bool right = choice < within.x;
+  const float left_over =
+      right ? choice / within.x : (choice - within.x) / std::max(1 - within.x, 1e-6f);
+  const int x = static_cast<int>(low.x) + right,
+            y = static_cast<int>(low.y) + (left_over < within.y);
+  return static_cast<std::uint32_t>(mesh_.positions.size()) +
+         static_cast<std::uint32_t>(y * grid.size + x);
+}
+
+// Of quarters of the rays, each of which holds a quarter of the weight; the mean of four has variance
+// s^2/4.
+static std::pair<float, float> sum_and_error(const std::array<float, 4>& by_group) {
+  float sum = 0, square = 0;
+  for (const float g : by_group) sum += g;
+  for (const float g : by_group) square += (4 * g - sum) * (4 * g - sum);
+  return {sum, std::sqrt(square / 3 / 4)};
 }
 
 void Baker::trace_point(const RayScene& scene, const RayPatterns& patterns, std::size_t index,
@@ -201,8 +260,8 @@ void Baker::trace_point(const RayScene& scene, const RayPatterns& patterns, std:
   out.blocked.assign(coefficients_, 0);
   out.hits.clear();
   out.all_hits = 0;
-  std::fill_n(out.group_blocked, 4, 0.f);
   out.behind = 0;
+  std::array<float, 4> by_group{};
   alignas(64) float sum[kMaxCoefficients * kLanes];
   std::fill_n(sum, coefficients_ * kLanes, 0.f);
   RayScene::RayPacket packet;
@@ -227,18 +286,19 @@ void Baker::trace_point(const RayScene& scene, const RayPatterns& patterns, std:
     if (blocked == 0) continue;
     const std::uint8_t* const groups = patterns.groups(turn, block);
     if (options_.bounces > 0)
-      keep_hits(packet, origin, weight, patterns.rays() >= kManyRays ? groups : nullptr,
-                ground_point, blocked, out);
+      keep_hits(packet, origin, weight, patterns.rays() >= kManyRays ? groups : nullptr, index,
+                blocked, out);
     lighting::evaluate_basis_block(bands_, packet.x, packet.y, packet.z, basis);
     for (int i = 0; i < kLanes; ++i) {
       weight[i] = blocked >> i & 1 ? weight[i] : 0;
-      out.group_blocked[groups[i]] += weight[i];
+      by_group[groups[i]] += weight[i];
     }
     for (std::size_t n = 0; n < coefficients_; ++n)
       for (int i = 0; i < kLanes; ++i) sum[n * kLanes + i] += weight[i] * basis[n * kLanes + i];
   }
   for (std::size_t n = 0; n < coefficients_; ++n)
     for (int i = 0; i < kLanes; ++i) out.blocked[n] += sum[n * kLanes + i];
+  std::tie(out.blocked_fraction, out.standard_error) = sum_and_error(by_group);
   float kept = 0;
   for (const BounceHit& hit : out.hits) kept += hit.weight;
   for (BounceHit& hit : out.hits) hit.weight *= out.all_hits / kept;  // no energy lost
@@ -259,116 +319,81 @@ void Baker::start_transfer(std::size_t index, const PointResult& result) {
     }
 }
 
-// far: of the receiver beyond its grid
-void Baker::add_ground_bounce(const BounceHit& hit, int channel, float albedo,
-                              std::span<const float> far, float* sum) const {
-  const float k = hit.weight * albedo;
-  if (k == 0) return;
-  const int size = options_.receiver->grid.size;
-  if (hit.u < 0 || hit.u >= 1 || hit.v < 0 || hit.v >= 1 || !std::isfinite(hit.u + hit.v)) {
-    for (std::size_t n = 0; n < solved_; ++n) sum[n] += k * far[n];
-    return;
-  }
-  const float x =
-      std::clamp(hit.u * static_cast<float>(size) - .5f, 0.f, static_cast<float>(size - 1));
-  const float y =
-      std::clamp(hit.v * static_cast<float>(size) - .5f, 0.f, static_cast<float>(size - 1));
-  const int x0 = std::min(static_cast<int>(x), size - 2),
-            y0 = std::min(static_cast<int>(y), size - 2);
-  const float fx = x - static_cast<float>(x0), fy = y - static_cast<float>(y0);
-  const std::size_t base = mesh_.positions.size() + static_cast<std::size_t>(y0 * size + x0);
-  const float* const t00 = transfer_at(base, channel);
-  const float* const t10 = transfer_at(base + 1, channel);
-  const float* const t01 = transfer_at(base + static_cast<std::size_t>(size), channel);
-  const float* const t11 = transfer_at(base + static_cast<std::size_t>(size) + 1, channel);
-  const float w00 = k * (1 - fx) * (1 - fy), w10 = k * fx * (1 - fy), w01 = k * (1 - fx) * fy,
-              w11 = k * fx * fy;
-  for (std::size_t n = 0; n < solved_; ++n)
-    sum[n] += w00 * t00[n] + w10 * t10[n] + w01 * t01[n] + w11 * t11[n];
-}
-
+// What of added_ arrives by one more reflection, into next_.
 void Baker::bounce(std::size_t index, const std::vector<BounceHit>& hits) {
   for (int c = 0; c < channels_; ++c) {
-    const std::size_t at =
-        (index * static_cast<std::size_t>(channels_) + static_cast<std::size_t>(c)) * coefficients_;
-    float sum[kMaxCoefficients];
-    std::copy_n(&shadowed_[at], solved_, sum);
+    float* const sum = &next_[place(index, c)];
+    std::fill_n(sum, solved_, 0.f);
     for (const BounceHit& hit : hits) {
-      if (hit.triangle == BounceHit::kGround) {
-        add_ground_bounce(hit, c, floor_albedo_[c], far_, sum);
-        continue;
-      }
-      const auto& t = mesh_.triangles[hit.triangle];
-      const float w0 = 1 - hit.u - hit.v;
-      const float rho = w0 * mesh_.albedo[t[0]][c] + hit.u * mesh_.albedo[t[1]][c] +
-                        hit.v * mesh_.albedo[t[2]][c];
-      const float k = hit.weight * rho;
-      const float *a = transfer_at(t[0], c), *b = transfer_at(t[1], c), *d = transfer_at(t[2], c);
-      for (std::size_t n = 0; n < solved_; ++n)
-        sum[n] += k * (w0 * a[n] + hit.u * b[n] + hit.v * d[n]);
+      const bool beyond = hit.point == BounceHit::kBeyond;
+      const float albedo =
+          beyond || is_ground_point(hit.point) ? floor_albedo_[c] : mesh_.albedo[hit.point][c];
+      if (albedo == 0) continue;
+      const float* const from = beyond ? far_.data() : &added_[place(hit.point, c)];
+      for (std::size_t n = 0; n < solved_; ++n) sum[n] += hit.weight * albedo * from[n];
     }
-    std::copy_n(sum, solved_, &next_[at]);
   }
 }
 
 // What of current_ comes by one reflection on a white receiver, into shadowed_.
 void Baker::gather_from_floor(const std::vector<PointResult>& results, std::span<const float> far) {
-  parallel_for(std::size_t{0}, points_.size(), [&](std::size_t index) {
+  for_points(0, points_.size(), 0, [&](std::size_t index) {
     for (int c = 0; c < channels_; ++c) {
-      float* const sum =
-          &shadowed_[(index * static_cast<std::size_t>(channels_) + static_cast<std::size_t>(c)) *
-                     coefficients_];
+      float* const sum = &shadowed_[place(index, c)];
       std::fill_n(sum, solved_, 0.f);
-      for (const BounceHit& hit : results[index].hits)
-        if (hit.triangle == BounceHit::kGround) add_ground_bounce(hit, c, 1, far, sum);
+      for (const BounceHit& hit : results[index].hits) {
+        const bool beyond = hit.point == BounceHit::kBeyond;
+        if (!beyond && !is_ground_point(hit.point)) continue;
+        const float* const from = beyond ? far.data() : transfer_at(hit.point, c);
+        for (std::size_t n = 0; n < solved_; ++n) sum[n] += hit.weight * from[n];
+      }
     }
   });
 }
 
 // Solves current_ = shadowed_ + what current_ reflects, by bounces.
 void Baker::bounce_all(const std::vector<PointResult>& results, int bounces, double progress) {
-  current_ = shadowed_;
+  current_ = added_ = shadowed_;
   if (bounces == 0) return;
-  next_.resize(current_.size());
-  std::array<double, 3> added{}, fraction{};
+  next_.assign(current_.size(), 0);
+  std::array<double, 3> before{}, now = sum_of_constants(added_);
   for (int b = 0; b < bounces; ++b) {
-    parallel_for(std::size_t{0}, points_.size(), kChunk, [&](const Indices<std::size_t>& range) {
-      for (std::size_t i = range.begin(); i < range.end(); ++i) bounce(i, results[i].hits);
+    for_points(0, points_.size(), progress / bounces, [&](std::size_t i) {
+      bounce(i, results[i].hits);
+      for (int c = 0; c < channels_; ++c)
+        for (std::size_t n = place(i, c); n < place(i, c) + solved_; ++n) current_[n] += next_[n];
     });
-    std::swap(current_, next_);
-    const std::array<double, 3> before = std::exchange(added, added_by_last_bounce());
-    for (std::size_t c = 0; c < 3; ++c) fraction[c] = before[c] > 0 ? added[c] / before[c] : 0;
-    report_progress(progress / bounces);
+    std::swap(added_, next_);
+    far_.assign(coefficients_, 0);  // beyond the grid the receiver shows its first light alone
+    before = std::exchange(now, sum_of_constants(added_));
   }
-  add_further_bounces(fraction);
+  if (bounces > 1) add_further_bounces(before, now);
 }
 
-// What the last bounce added under a constant light, summed over all points.
-std::array<double, 3> Baker::added_by_last_bounce() const {
+// Summed over all points, by channel: under a constant light.
+std::array<double, 3> Baker::sum_of_constants(const std::vector<float>& transfer) const {
   std::array<double, 3> sum{};
-  const auto channels = static_cast<std::size_t>(channels_);
   for (std::size_t p = 0; p < points_.size(); ++p)
-    for (std::size_t c = 0; c < channels; ++c) {
-      const std::size_t at = (p * channels + c) * coefficients_;
-      sum[c] += double(current_[at]) - next_[at];
-    }
+    for (int c = 0; c < channels_; ++c)
+      sum[static_cast<std::size_t>(c)] += double(transfer[place(p, c)]);
   return sum;
 }
 
 // The bounces that are not traced: each is the one before, fainter by the same factor. Power
 // iteration: what a bounce adds soon has the form of the scene's largest eigenvector, whatever the
 // light.
-void Baker::add_further_bounces(const std::array<double, 3>& fraction) {
-  const auto channels = static_cast<std::size_t>(channels_);
-  parallel_for(std::size_t{0}, points_.size(), [&](std::size_t p) {
-    for (std::size_t c = 0; c < channels; ++c) {
-      constexpr double kMaxFraction = .95;  // beyond, two bounces say too little
-      const double q = std::clamp(fraction[c], 0., kMaxFraction);
-      const auto further = static_cast<float>(q / (1 - q));
-      const std::size_t at = (p * channels + c) * coefficients_;
-      for (std::size_t n = at; n < at + solved_; ++n)
-        current_[n] += further * (current_[n] - next_[n]);
-    }
+void Baker::add_further_bounces(const std::array<double, 3>& before,
+                                const std::array<double, 3>& last) {
+  std::array<float, 3> further{};
+  for (std::size_t c = 0; c < 3; ++c) {
+    constexpr double kMaxFraction = .95;  // beyond, two bounces say too little
+    const double q = before[c] > 0 ? std::clamp(last[c] / before[c], 0., kMaxFraction) : 0;
+    further[c] = static_cast<float>(q / (1 - q));
+  }
+  for_points(0, points_.size(), 0, [&](std::size_t p) {
+    for (int c = 0; c < channels_; ++c)
+      for (std::size_t n = place(p, c); n < place(p, c) + solved_; ++n)
+        current_[n] += further[static_cast<std::size_t>(c)] * added_[n];
   });
 }
 
@@ -380,15 +405,9 @@ void Baker::report_progress(double fraction) {
 }
 
 std::vector<PointQuality> Baker::quality(const std::vector<PointResult>& results) const {
-  // t_0 of each group is (1 - its blocked fraction) times a constant; the mean of four has variance
-  // s^2/4.
   std::vector<PointQuality> out;
-  for (std::size_t i = 0; i < mesh_.positions.size(); ++i) {
-    double m = 0, s = 0;
-    for (float g : results[i].group_blocked) m += g;  // each group holds a quarter of the weight
-    for (float g : results[i].group_blocked) s += std::pow(4 * g - m, 2);
-    out.push_back({static_cast<float>(std::sqrt(s / 3 / 4)), results[i].behind});
-  }
+  for (std::size_t i = 0; i < mesh_.positions.size(); ++i)
+    out.push_back({results[i].standard_error, results[i].behind});
   return out;
 }
 
@@ -397,8 +416,7 @@ double Baker::standard_error(const std::vector<PointResult>& results,
   double variance = 0, mean = 0;
   for (std::size_t i = 0; i < quality.size(); ++i) {
     variance += std::pow(double(quality[i].standard_error), 2);
-    mean += 1;
-    for (float g : results[i].group_blocked) mean -= g;
+    mean += 1 - double(results[i].blocked_fraction);
   }
   const auto count = static_cast<double>(quality.size());
   mean /= count;
@@ -500,32 +518,89 @@ Transfer Baker::shadow_probes() const {
   return out;
 }
 
+void Baker::for_points(std::size_t first, std::size_t last, double progress,
+                       const std::function<void(std::size_t)>& act) {
+  parallel_for(first, last, kChunk, [&](const Indices<std::size_t>& range) {
+    for (std::size_t i = range.begin(); i < range.end(); ++i) act(i);
+    report_progress(progress * static_cast<double>(range.size()) /
+                    static_cast<double>(last - first));
+  });
+}
+
+// Points from `first` on, by rays of their own. Returns how many.
+std::uint64_t Baker::trace_points(const RayScene& scene, std::size_t first, double progress,
+                                  std::vector<PointResult>& out) {
+  std::map<int, RayPatterns> patterns;  // by how many rays
+  std::uint64_t rays = 0;
+  for (std::size_t i = first; i < points_.size(); ++i) {
+    patterns.try_emplace(points_[i].rays, points_[i].rays);
+    rays += static_cast<std::uint64_t>(points_[i].rays);
+  }
+  for_points(first, points_.size(), progress, [&](std::size_t i) {
+    trace_point(scene, patterns.at(points_[i].rays), i, out[i]);
+    start_transfer(i, out[i]);
+  });
+  return rays;
+}
+
+// What a vertex sees through its wide cells, and what its rays hit.
+void Baker::trace_wide(const RayScene& scene, const HemiOctSums& sums, std::size_t index,
+                       VisibilityBake& visibility, PointResult& out) const {
+  const glm::vec3 origin = points_[index].position + kRayNear * points_[index].normal;
+  RayScene::RayPacket packet;
+  alignas(64) float weight[kLanes];
+  for (int block = 0; block < VisibilityBake::kPackets; ++block) {
+    visibility.wide_rays(index, block, packet);
+    for (int i = 0; i < kLanes; ++i)
+      weight[i] = sums.wide_weight(4 * (block % 4) + i % 4, 4 * (block / 4) + i / 4);
+    if (options_.bounces == 0) {
+      visibility.keep_wide(index, block, scene.occluded(origin, kRayNear, packet));
+      continue;
+    }
+    scene.intersect(origin, kRayNear, packet);
+    std::uint32_t blocked = 0;
+    for (int i = 0; i < kLanes; ++i)
+      if (packet.triangle[i] != RayScene::kMiss) blocked |= 1u << i;
+    visibility.keep_wide(index, block, blocked);
+    if (options_.receiver) blocked |= ground_mask(packet);
+    keep_hits(packet, origin, weight, nullptr, index, blocked, out);
+  }
+}
+
+// Vertices, by what they see past the mesh. Returns the number of rays.
+std::uint64_t Baker::trace_by_visibility(const RayScene& scene, double progress,
+                                         std::vector<PointResult>& out) {
+  const std::size_t vertices = mesh_.positions.size();
+  const HemiOctSums sums(bands_);
+  VisibilityBake visibility(mesh_, scene);
+  for_points(0, vertices, .35 * progress,
+             [&](std::size_t i) { trace_wide(scene, sums, i, visibility, out[i]); });
+  for_points(0, vertices, .65 * progress, [&](std::size_t i) {
+    PointResult& result = out[i];
+    result.blocked.assign(coefficients_, 0);
+    const HemiOctSums::Blocked blocked =
+        sums.add_blocked(visibility.refine(i), HemiOctFrame::of(i, mesh_.normals[i]),
+                         options_.receiver.has_value(), result.blocked);
+    result.blocked_fraction = blocked.all(), result.standard_error = blocked.standard_error();
+    // What the few rays hit stands for all that is blocked.
+    const float hit = result.all_hits + result.behind;
+    for (BounceHit& h : result.hits) h.weight *= blocked.all() / hit;
+    start_transfer(i, result);
+  });
+  visibility_ = visibility.take();
+  return visibility.rays();
+}
+
 // Transfer without bounces, and what vertices see past the mesh alone. Returns the number of rays.
 std::uint64_t Baker::trace_all(const RayScene& scene, std::vector<PointResult>& out) {
-  const RayPatterns patterns(options_.rays), ground_patterns(options_.ground_rays);
-  std::optional<VisibilityBake> visibility;
-  if (options_.visibility) visibility.emplace(mesh_, scene);
-  const auto rays_of = [&](std::size_t i) {
-    return static_cast<std::uint64_t>(
-        points_[i].rays + (visibility && !is_ground_point(i) ? VisibilityBake::kRays : 0));
-  };
-  std::uint64_t rays = 0;
-  for (std::size_t i = 0; i < points_.size(); ++i) rays += rays_of(i);
-  const double fraction = (visibility ? .9 - kFineFraction : .9) / static_cast<double>(rays);
-  parallel_for(std::size_t{0}, points_.size(), kChunk, [&](const Indices<std::size_t>& range) {
-    double traced = 0;
-    for (std::size_t i = range.begin(); i < range.end(); ++i) {
-      trace_point(scene, is_ground_point(i) ? ground_patterns : patterns, i, out[i]);
-      start_transfer(i, out[i]);
-      if (visibility && !is_ground_point(i)) visibility->trace(i);
-      traced += static_cast<double>(rays_of(i));
-    }
-    report_progress(fraction * traced);
-  });
-  if (!visibility) return rays;
-  visibility->refine([&](double done) { report_progress(kFineFraction * done); });
-  visibility_ = visibility->take();
-  return rays + 64 * visibility_.fine.size();
+  constexpr double kProgress = .9;
+  if (!options_.visibility) return trace_points(scene, 0, kProgress, out);
+  const std::size_t vertices = mesh_.positions.size();
+  const std::uint64_t rays =
+      trace_by_visibility(scene, points_.size() > vertices ? .8 : kProgress, out);
+  // A wish for more rays than the visibility has cells is met by rays of their own.
+  const bool apart = options_.rays > VisibilityMap::kFineCells * VisibilityMap::kFineCells;
+  return rays + trace_points(scene, apart ? 0 : vertices, kProgress - .8, out);
 }
 
 Result<BakedObject> Baker::run(Mesh mesh) {

@@ -1,55 +1,33 @@
-#include "prt/bake/internal/visibility_bake.h"
-
 #include <algorithm>
 #include <bit>
+#include <glm/ext/vector_int2.hpp>
 #include <glm/geometric.hpp>
+#include <span>
+#include <utility>
 
-#include "core/threads/parallel.h"
 #include "prt/bake/bake_rules.h"
+#include "prt/bake/internal/visibility_bake.h"
+#include "prt/rays/ray_pattern.h"
 
 namespace penumbra::prt {
 
 namespace {
 
-constexpr int kBlocks = VisibilityMap::kBlocks, kAllBlocks = kBlocks * kBlocks;
-constexpr std::uint32_t kAllOpen = 0xffff;  // of a block
-constexpr std::size_t kAtOnce = 64;         // vertices
+constexpr int kFineCells = VisibilityMap::kFineCells, kBlocks = VisibilityMap::kBlocks;
+constexpr int kWide = VisibilityBake::kWideCells;
+constexpr int kFineInWide = kFineCells / kWide;  // along a side
+constexpr std::uint64_t kAllOpen = ~std::uint64_t{0};
+// By wide cell of a block of two by two.
+constexpr std::uint64_t kWideBits = 0x0f0f0f0f;
 
-// Rays of one vertex.
-class Eye {
- public:
-  Eye(const RayScene& scene, const Mesh& mesh, std::size_t vertex)
-      : scene_(scene),
-        frame_(HemiOctFrame::of(vertex, mesh.normals[vertex])),
-        origin_(mesh.positions[vertex] + kRayNear * mesh.normals[vertex]) {}
-  /// Bit by cell of four by four from (x, y).
-  std::uint32_t open(int x, int y, int cells) const {
-    static_assert(RayScene::kPacket == 16);
-    RayScene::RayPacket packet;
-    for (int i = 0; i < RayScene::kPacket; ++i) {
-      const glm::vec3 d = frame_.direction(x + i % 4, y + i / 4, cells);
-      packet.x[i] = d.x, packet.y[i] = d.y, packet.z[i] = d.z;
-    }
-    return ~scene_.occluded(origin_, kRayNear, packet) & kAllOpen;
-  }
-  /// Bit by cell of eight by eight.
-  std::uint64_t fine(int block) const {
-    const int x = 8 * (block % kBlocks), y = 8 * (block / kBlocks);
-    std::uint64_t out = 0;
-    for (const int down : {0, 4})
-      for (const int right : {0, 4}) {
-        std::uint64_t rows = open(x + right, y + down, VisibilityMap::kFineCells);
-        for (int row = down; row < down + 4; ++row, rows >>= 4)
-          out |= (rows & 15) << (8 * row + right);
-      }
-    return out;
-  }
+static_assert(RayScene::kPacket == 16 && kFineInWide == 4 && kWide == 2 * kBlocks);
 
- private:
-  const RayScene& scene_;
-  HemiOctFrame frame_;
-  glm::vec3 origin_;
-};
+// A wide cell's ray is that of one of its four finer cells in the middle, of another one for other
+// vertices.
+glm::ivec2 wide_ray(std::size_t vertex, glm::ivec2 cell) {
+  const int variant = RayPatterns::turn_of(vertex).variant;
+  return kFineInWide * cell + 1 + glm::ivec2(variant & 1, variant >> 1 & 1);
+}
 
 // By place of positions the vertices that share a triangle with one there, each once: seams are no
 // rims.
@@ -71,69 +49,113 @@ std::vector<std::vector<std::uint32_t>> neighbours(const Mesh& mesh,
 }  // namespace
 
 VisibilityBake::VisibilityBake(const Mesh& mesh, const RayScene& scene)
-    : mesh_(mesh), scene_(scene), visibility_(mesh.positions.size()) {}
+    : mesh_(mesh),
+      scene_(scene),
+      place_(places_of(mesh.positions)),
+      around_(neighbours(mesh, place_)),
+      wide_(mesh.positions.size()),
+      fine_(mesh.positions.size()),
+      visibility_(mesh.positions.size()) {}
 
-void VisibilityBake::trace(std::size_t vertex) {
-  const Eye eye(scene_, mesh_, vertex);
-  for (int block = 0; block < kAllBlocks; ++block) {
-    const std::uint32_t bits =
-        eye.open(4 * (block % kBlocks), 4 * (block / kBlocks), VisibilityMap::kCells);
-    visibility_.open[vertex * VisibilityMap::kWords + static_cast<std::size_t>(block / 2)] |=
-        bits << 16 * (block % 2);
+void VisibilityBake::wide_rays(std::size_t vertex, int block, RayScene::RayPacket& packet) const {
+  const HemiOctFrame frame = HemiOctFrame::of(vertex, mesh_.normals[vertex]);
+  for (int i = 0; i < RayScene::kPacket; ++i) {
+    const glm::ivec2 ray = wide_ray(vertex, {4 * (block % 4) + i % 4, 4 * (block / 4) + i / 4});
+    const glm::vec3 d = frame.direction(ray.x, ray.y, kFineCells);
+    packet.x[i] = d.x, packet.y[i] = d.y, packet.z[i] = d.z;
   }
 }
 
-// Bit by block.
-std::uint64_t VisibilityBake::own_edges(std::size_t vertex) const {
-  std::uint64_t out = 0;
-  for (int block = 0; block < kAllBlocks; ++block)
-    if (const std::uint32_t bits = visibility_.block(vertex, block); bits != 0 && bits != kAllOpen)
-      out |= std::uint64_t{1} << block;
-  return out;
+void VisibilityBake::keep_wide(std::size_t vertex, int block, std::uint32_t blocked) {
+  std::uint32_t open = ~blocked & 0xffffu;
+  for (int y = 4 * (block / 4); open != 0; ++y, open >>= 4)
+    wide_[vertex][static_cast<std::size_t>(y)] |=
+        static_cast<std::uint16_t>((open & 15) << 4 * (block % 4));
 }
 
-// Bit by block of `vertex`, in the directions in which another one sees an edge.
-std::uint64_t VisibilityBake::edges_seen_by(std::size_t other, std::size_t vertex) const {
-  const HemiOctFrame from = HemiOctFrame::of(other, mesh_.normals[other]),
-                     to = HemiOctFrame::of(vertex, mesh_.normals[vertex]);
-  std::uint64_t out = 0;
-  for (std::uint64_t left = own_edges(other); left != 0; left &= left - 1) {
-    const int block = std::countr_zero(left);
-    std::uint32_t few = visibility_.block(other, block);
-    if (std::popcount(few) > 8) few ^= kAllOpen;
-    for (; few != 0; few &= few - 1) {
-      const int i = std::countr_zero(few);
-      const glm::vec3 d = from.direction(4 * (block % kBlocks) + i % 4,
-                                         4 * (block / kBlocks) + i / 4, VisibilityMap::kCells);
-      if (!(glm::dot(d, to.normal) > 0)) continue;
-      const glm::ivec2 at = to.cell(d, VisibilityMap::kCells) / 4;
-      out |= std::uint64_t{1} << (kBlocks * at.y + at.x);
+// Wide cells that may hold an edge: they do not look as one beside them, or in their directions a
+// vertex around sees one.
+VisibilityBake::Rows VisibilityBake::unsure(std::size_t vertex) const {
+  Rows out{};
+  const Rows& open = wide_[vertex];
+  for (std::size_t y = 0; y < open.size(); ++y) {
+    const auto across = static_cast<std::uint16_t>((open[y] ^ open[y] >> 1) & 0x7fff);
+    out[y] |= static_cast<std::uint16_t>(across | across << 1);
+    if (y + 1 == open.size()) break;
+    const auto along = static_cast<std::uint16_t>(open[y] ^ open[y + 1]);
+    out[y] |= along, out[y + 1] |= along;
+  }
+  const HemiOctFrame to = HemiOctFrame::of(vertex, mesh_.normals[vertex]);
+  for (const std::uint32_t other : around_[place_[vertex]]) {
+    const HemiOctFrame from = HemiOctFrame::of(other, mesh_.normals[other]);
+    const Rows& seen = wide_[other];
+    for (std::size_t y = 0; y < seen.size(); ++y) {
+      const std::uint16_t below = seen[std::min(y + 1, seen.size() - 1)];
+      std::uint32_t edges = ((seen[y] ^ seen[y] >> 1) & 0x7fffu) | (seen[y] ^ below);
+      for (; edges != 0; edges &= edges - 1) {
+        const glm::ivec2 ray = wide_ray(other, {std::countr_zero(edges), static_cast<int>(y)});
+        const glm::vec3 d = from.direction(ray.x, ray.y, kFineCells);
+        if (!(glm::dot(d, to.normal) > 0)) continue;
+        const glm::ivec2 at = to.cell(d, kFineCells) / kFineInWide;
+        out[static_cast<std::size_t>(at.y)] |= static_cast<std::uint16_t>(1u << at.x);
+      }
     }
   }
   return out;
 }
 
-// What is thin hides between the wide cells of one vertex, but not of all around it.
-void VisibilityBake::refine(const std::function<void(double)>& progress) {
-  const std::vector<std::uint32_t> place = places_of(mesh_.positions);
-  const std::vector<std::vector<std::uint32_t>> around = neighbours(mesh_, place);
-  std::vector<std::vector<std::uint64_t>> fine(place.size());
-  parallel_for(std::size_t{0}, fine.size(), kAtOnce, [&](const auto& range) {
-    for (std::size_t v = range.begin(); v < range.end(); ++v) {
-      std::uint64_t& refined = visibility_.refined[v];
-      refined = own_edges(v);
-      for (const std::uint32_t other : around[place[v]]) refined |= edges_seen_by(other, v);
-      const Eye eye(scene_, mesh_, v);
-      for (std::uint64_t left = refined; left != 0; left &= left - 1)
-        fine[v].push_back(eye.fine(std::countr_zero(left)));
+OpenCells VisibilityBake::refine(std::size_t vertex) {
+  const Rows& wide = wide_[vertex];
+  const Rows asked = unsure(vertex);
+  const HemiOctFrame frame = HemiOctFrame::of(vertex, mesh_.normals[vertex]);
+  const glm::vec3 origin = mesh_.positions[vertex] + kRayNear * mesh_.normals[vertex];
+  OpenCells out{};
+  std::uint64_t traced = RayScene::kPacket * kPackets;
+  for (int y = 0; y < kWide; ++y)
+    for (int x = 0; x < kWide; ++x) {
+      std::uint64_t& block = out[static_cast<std::size_t>(kBlocks * (y / 2) + x / 2)];
+      const int shift = 32 * (y % 2) + 4 * (x % 2);
+      const auto row = static_cast<std::size_t>(y);
+      if ((asked[row] >> x & 1) == 0) {
+        if (wide[row] >> x & 1) block |= kWideBits << shift;
+        continue;
+      }
+      RayScene::RayPacket packet;
+      for (int i = 0; i < RayScene::kPacket; ++i) {
+        const glm::vec3 d = frame.direction(4 * x + i % 4, 4 * y + i / 4, kFineCells);
+        packet.x[i] = d.x, packet.y[i] = d.y, packet.z[i] = d.z;
+      }
+      std::uint64_t open = ~scene_.occluded(origin, kRayNear, packet) & 0xffffu;
+      for (int down = 0; down < 4; ++down, open >>= 4) block |= (open & 15) << (shift + 8 * down);
+      traced += RayScene::kPacket;
     }
-    progress(static_cast<double>(range.size()) / static_cast<double>(fine.size()));
-  });
+  rays_ += traced;
+  keep(vertex, out);
+  return out;
+}
+
+// Of four finer cells the coarse one is that in which its ray lies.
+void VisibilityBake::keep(std::size_t vertex, const OpenCells& open) {
+  const glm::ivec2 within = HemiOctFrame::fine_of_four(vertex);
+  for (std::size_t block = 0; block < open.size(); ++block) {
+    const std::uint64_t bits = open[block] >> (8 * within.y + within.x);
+    std::uint32_t coarse = 0;
+    for (int i = 0; i < 16; ++i)
+      coarse |= static_cast<std::uint32_t>(bits >> (16 * (i / 4) + 2 * (i % 4)) & 1) << i;
+    visibility_.open[vertex * VisibilityMap::kWords + block / 2] |= coarse << 16 * (block % 2);
+    if (open[block] == 0 || open[block] == kAllOpen) continue;
+    visibility_.refined[vertex] |= std::uint64_t{1} << block;
+    fine_[vertex].push_back(open[block]);
+  }
+}
+
+VisibilityMap VisibilityBake::take() {
   std::size_t count = 0;
-  for (const auto& of_vertex : fine) count += of_vertex.size();
+  for (const auto& of_vertex : fine_) count += of_vertex.size();
   visibility_.fine.resize(count);
   auto to = visibility_.fine.begin();
-  for (const auto& of_vertex : fine) to = std::ranges::copy(of_vertex, to).out;
+  for (const auto& of_vertex : fine_) to = std::ranges::copy(of_vertex, to).out;
+  return std::move(visibility_);
 }
 
 }  // namespace penumbra::prt

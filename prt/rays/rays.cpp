@@ -218,13 +218,16 @@ void RayScene::intersect(const glm::vec3& origin, float near, RayPacket& p) cons
   }
 }
 
-std::uint32_t RayScene::occluded(const glm::vec3& origin, float near, const RayPacket& p) const {
+std::uint32_t RayScene::occluded(const glm::vec3& origin, float near, const RayPacket& p,
+                                 int count) const {
   RTCIntersectContext context = coherent_context();
   RTCRay16 ray;
   fill(ray, origin, near, p);
-  rtcOccluded16(kAllActive, impl_->scene, &context, &ray);
+  alignas(64) int active[kPacket];
+  for (int i = 0; i < kPacket; ++i) active[i] = i < count ? -1 : 0;
+  rtcOccluded16(active, impl_->scene, &context, &ray);
   std::uint32_t blocked = 0;
-  for (int i = 0; i < kPacket; ++i)
+  for (int i = 0; i < count; ++i)
     if (ray.tfar[i] < 0) blocked |= 1u << i;
   return blocked;
 }

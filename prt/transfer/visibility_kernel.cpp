@@ -166,6 +166,7 @@ HWY_INLINE void Look(const VisibilityRows& rows, std::size_t first, std::size_t 
     if (place + kAhead < last) Visibility::Prefetch(rows, vertex(place + kAhead));
     const std::size_t i = vertex(place);
     const HemiOctFrame& frame = rows.heads[i].frame;
+    const glm::vec2 shift = frame.shift(Visibility::kCells);
     auto all = zero, arrives = zero;
     for (std::size_t k = from; k < from + rows.each; k += hn::Lanes(d)) {
       const auto x = hn::LoadU(d, rows.x + k), y = hn::LoadU(d, rows.y + k),
@@ -178,10 +179,9 @@ HWY_INLINE void Look(const VisibilityRows& rows, std::size_t first, std::size_t 
       const auto scale = hn::Div(
           hn::Set(d, 1.f),
           hn::Add(hn::Max(cosine, hn::Set(d, 1e-20f)), hn::Add(hn::Abs(across), hn::Abs(along))));
-      const auto column = Cell(d, hn::Mul(hn::Add(across, along), scale), frame.shift.x,
-                               Visibility::kCells),
-                 row = Cell(d, hn::Mul(hn::Sub(across, along), scale), frame.shift.y,
-                            Visibility::kCells);
+      const auto column =
+                     Cell(d, hn::Mul(hn::Add(across, along), scale), shift.x, Visibility::kCells),
+                 row = Cell(d, hn::Mul(hn::Sub(across, along), scale), shift.y, Visibility::kCells);
       const auto is_open = hn::And(before, Visibility::Look(d, rows, i, column, row, before));
       arrives =
           hn::MulAdd(hn::IfThenElseZero(is_open, cosine), hn::LoadU(d, rows.counts + k), arrives);

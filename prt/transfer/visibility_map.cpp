@@ -13,19 +13,18 @@ namespace penumbra::prt {
 HemiOctFrame HemiOctFrame::of(std::size_t vertex, const glm::vec3& normal) {
   const RayPatterns::Turn turn = RayPatterns::turn_of(vertex);
   const glm::mat3 frame = frame_around(normal + glm::vec3(0));  // -0 would turn it
-  // Neighbours differ most along a sequence of the plane's golden ratio.
-  constexpr double kFirst = .7548776662466927, kSecond = .5698402909980532;
-  const auto within = [&](double step) {
-    return static_cast<float>(std::fmod(.5 + step * static_cast<double>(vertex), 1.));
-  };
   return {turn.cosine * frame[0] + turn.sine * frame[1],
-          turn.cosine * frame[1] - turn.sine * frame[0],
-          frame[2],
-          {within(kFirst), within(kSecond)}};
+          turn.cosine * frame[1] - turn.sine * frame[0], frame[2],
+          .25f + .5f * glm::vec2(fine_of_four(vertex))};
+}
+
+glm::ivec2 HemiOctFrame::fine_of_four(std::size_t vertex) {
+  const int variant = RayPatterns::turn_of(vertex).variant;
+  return {variant & 1, variant >> 1 & 1};
 }
 
 glm::vec3 HemiOctFrame::direction(int x, int y, int cells) const {
-  const glm::vec2 at = 2.f * (glm::vec2(x, y) + shift) / static_cast<float>(cells) - 1.f;
+  const glm::vec2 at = 2.f * (glm::vec2(x, y) + shift(cells)) / static_cast<float>(cells) - 1.f;
   const float across = .5f * (at.x + at.y), along = .5f * (at.x - at.y);
   return glm::normalize(across * first + along * second +
                         (1 - std::abs(across) - std::abs(along)) * normal);
@@ -36,7 +35,8 @@ glm::ivec2 HemiOctFrame::cell(const glm::vec3& d, int cells) const {
   const float sum = std::max(glm::dot(d, normal), 1e-20f) + std::abs(across) + std::abs(along);
   const glm::vec2 at = glm::vec2(across + along, across - along) / sum;
   const auto largest = static_cast<float>(cells);
-  return glm::ivec2(glm::clamp(.5f * largest * (at + 1.f) + .5f - shift, 0.f, largest - .5f));
+  return glm::ivec2(
+      glm::clamp(.5f * largest * (at + 1.f) + .5f - shift(cells), 0.f, largest - .5f));
 }
 
 VisibilityLookup::VisibilityLookup(const VisibilityMap& visibility, const Mesh& mesh)

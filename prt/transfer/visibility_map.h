@@ -43,13 +43,19 @@ struct VisibilityMap {
   static double blur(int cells) { return std::sqrt(std::numbers::pi / 3) / cells; }
 };
 
-/// Where a vertex's square lies. From one to the next it is turned, and rays go through other
-/// places of their cells.
+/// Where a vertex's square lies. From one to the next it is turned, and rays of coarse cells go
+/// through another one of their four finer cells' middles.
 /// source: hemi-octahedral map, Cigolle, Donow, Evangelakos, Mara, McGuire & Meyer 2014
 struct HemiOctFrame {
   glm::vec3 first, second, normal;
-  glm::vec2 shift;  // of the ray in its cell, 0..1
+  glm::vec2 coarse_shift;
 
+  /// Column and row, 0 or 1, of the finer cell through which a coarse cell's ray goes.
+  static glm::ivec2 fine_of_four(std::size_t vertex);
+  /// Of a ray in its cell, 0..1.
+  glm::vec2 shift(int cells) const {
+    return cells == VisibilityMap::kCells ? coarse_shift : glm::vec2(.5f);
+  }
   static HemiOctFrame of(std::size_t vertex, const glm::vec3& normal);
   /// Of the ray in cell (x, y).
   glm::vec3 direction(int x, int y, int cells) const;

@@ -1,7 +1,10 @@
 // Finds what the vertices of a mesh see past it.
 #pragma once
 
-#include <functional>
+#include <array>
+#include <atomic>
+#include <cstdint>
+#include <vector>
 
 #include "prt/geometry/mesh.h"
 #include "prt/rays/rays.h"
@@ -9,29 +12,43 @@
 
 namespace penumbra::prt {
 
-/// First every vertex is traced, then all are refined.
+/// Of one vertex, by block the bits of its eight by eight finer cells, refined or not.
+using OpenCells = std::array<std::uint64_t, VisibilityMap::kBlocks * VisibilityMap::kBlocks>;
+
+/// Two passes, each over all vertices: one ray for each of 256 wide cells, then one for each of the
+/// sixteen finer ones of those in which an edge may be. What is thin hides between the wide rays of
+/// one vertex, but not of all around it: their edges count as its own.
+/// threads: in one pass reentrant for different vertices
 class VisibilityBake {
  public:
-  // A vertex, but finer ones
-  static constexpr int kRays = VisibilityMap::kCells * VisibilityMap::kCells;
+  static constexpr int kWideCells = 16;                                         // along a side
+  static constexpr int kPackets = kWideCells * kWideCells / RayScene::kPacket;  // a vertex
   /// Both must outlive it.
   /// in: the mesh moved to the origin and scaled to radius one, as `scene` has it; finite normals
   VisibilityBake(const Mesh& mesh, const RayScene& scene);
 
-  /// threads: reentrant for different vertices
-  void trace(std::size_t vertex);
-  /// Progress in fractions that add up to one.
-  /// threads: parallel inside, and so is `progress` called
-  void refine(const std::function<void(double)>& progress);
-  VisibilityMap take() { return std::move(visibility_); }
+  /// First pass, whose rays the bake traces itself, as it wants to know what they hit: those of a
+  /// block of four by four wide cells, and which of them are blocked.
+  void wide_rays(std::size_t vertex, int block, RayScene::RayPacket& packet) const;
+  void keep_wide(std::size_t vertex, int block, std::uint32_t blocked);
+  OpenCells refine(std::size_t vertex);
+
+  std::uint64_t rays() const { return rays_; }
+  VisibilityMap take();
 
  private:
-  std::uint64_t edges_seen_by(std::size_t other, std::size_t vertex) const;
-  std::uint64_t own_edges(std::size_t vertex) const;
+  using Rows = std::array<std::uint16_t, kWideCells>;  // bit by wide cell of a row: open
+  Rows unsure(std::size_t vertex) const;
+  void keep(std::size_t vertex, const OpenCells& open);
 
   const Mesh& mesh_;
   const RayScene& scene_;
+  std::vector<std::uint32_t> place_;                // vertices of one position are one place
+  std::vector<std::vector<std::uint32_t>> around_;  // by place
+  std::vector<Rows> wide_;
+  std::vector<std::vector<std::uint64_t>> fine_;  // by vertex, its refined blocks
   VisibilityMap visibility_;
+  std::atomic<std::uint64_t> rays_ = 0;
 };
 
 }  // namespace penumbra::prt

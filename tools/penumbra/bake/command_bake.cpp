@@ -57,7 +57,7 @@ Result<void> bake(const BakeCommandOptions& o) {
   options.bands = o.bands;
   options.bounces = o.bounces;
   options.rays = o.samples;
-  options.ground_rays = 4 * o.samples;
+  options.ground_rays = o.samples;
   options.visibility = true;
   // The receiver is the plane that the asset stands on; what it reflects is the scene's to say.
   options.receiver = prt::Receiver{prt::fit_ground_grid(mesh, prt::bounds_of(mesh).low.y), {}};
