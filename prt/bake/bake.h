@@ -30,8 +30,10 @@ struct BakeOptions {
   /// Of light between the object's parts, and between object and receiver. From the second on, what
   /// comes after the last is continued as a geometric series.
   int bounces = 4;
-  int rays = 1024;          // per vertex, a multiple of 64
-  int ground_rays = 1024;   // per receiver texel, a multiple of 64
+  /// Per vertex, a multiple of 64. With `visibility` at least: the rays that find it serve, up to
+  /// 4,096.
+  int rays = 1024;
+  int ground_rays = 1024;   // per receiver texel, a multiple of 64; where it sees little, fewer
   bool visibility = false;  // whether to find BakedObject::visibility
   std::optional<Receiver> receiver;
   /// Keeps what the receiver reflects apart (BakedObject::floor), so that it can get any albedo
@@ -57,7 +59,7 @@ struct BakeReport {
   std::uint64_t rays = 0;
   double seconds = 0;
   /// RMS over vertices of the standard error of t_0 relative to the mean t_0, from the spread of
-  /// four quarters of the rays; an upper bound, since together they are stratified finer.
+  /// four quarters of the rays, or two halves; an upper bound, since together they lie closer.
   double standard_error = 0;
   std::vector<PointQuality> quality;  // by vertex
 };
@@ -100,8 +102,9 @@ BakedObject on_floor(const BakedObject& baked, const Rgb& albedo);
 /// place.
 /// errors:  kInvalid (options), kUnavailable (Embree)
 /// source:  Sloan, Kautz & Snyder 2002;
-///          t = A_l Y_n/pi - (1/N) sum_blocked Y_n(d_i), d_i by the cosine (convex shapes come out
-///          exact); t^{b+1} = t^S + (1/N) sum_blocked rho t^b(hit)
+///          t = A_l Y_n/pi - (1/N) sum_blocked Y_n(d_i), d_i by the cosine, or with `visibility`
+///          - sum_blocked of its cells' integrals (convex shapes come out exact);
+///          t^{b+1} = t^S + (1/N) sum_blocked rho t^b(hit)
 Result<BakedObject> bake(Mesh mesh, const BakeOptions& options);
 
 }  // namespace penumbra::prt

@@ -31,7 +31,7 @@
 namespace penumbra::prt {
 namespace {
 
-constexpr int kVersion = 4;
+constexpr int kVersion = 5;
 using tinygltf::Model;
 using tinygltf::Value;
 

@@ -22,11 +22,10 @@ constexpr std::uint64_t kWideBits = 0x0f0f0f0f;
 
 static_assert(RayScene::kPacket == 16 && kFineInWide == 4 && kWide == 2 * kBlocks);
 
-// A wide cell's ray is that of one of its four finer cells in the middle, of another one for other
-// vertices.
-glm::ivec2 wide_ray(std::size_t vertex, glm::ivec2 cell) {
-  const int variant = RayPatterns::turn_of(vertex).variant;
-  return kFineInWide * cell + 1 + glm::ivec2(variant & 1, variant >> 1 & 1);
+// Of a wide cell the finer one through which its ray goes: one of the four in the middle, another one
+// for other vertices.
+glm::ivec2 wide_ray_in_cell(std::size_t vertex) {
+  return 1 + HemiOctFrame::fine_of_four(vertex);
 }
 
 // By place of positions the vertices that share a triangle with one there, each once: seams are no
@@ -59,8 +58,10 @@ VisibilityBake::VisibilityBake(const Mesh& mesh, const RayScene& scene)
 
 void VisibilityBake::wide_rays(std::size_t vertex, int block, RayScene::RayPacket& packet) const {
   const HemiOctFrame frame = HemiOctFrame::of(vertex, mesh_.normals[vertex]);
+  const glm::ivec2 in_cell = wide_ray_in_cell(vertex);
   for (int i = 0; i < RayScene::kPacket; ++i) {
-    const glm::ivec2 ray = wide_ray(vertex, {4 * (block % 4) + i % 4, 4 * (block / 4) + i / 4});
+    const glm::ivec2 cell(4 * (block % 4) + i % 4, 4 * (block / 4) + i / 4);
+    const glm::ivec2 ray = kFineInWide * cell + in_cell;
     const glm::vec3 d = frame.direction(ray.x, ray.y, kFineCells);
     packet.x[i] = d.x, packet.y[i] = d.y, packet.z[i] = d.z;
   }
@@ -73,27 +74,34 @@ void VisibilityBake::keep_wide(std::size_t vertex, int block, std::uint32_t bloc
         static_cast<std::uint16_t>((open & 15) << 4 * (block % 4));
 }
 
-// Wide cells that may hold an edge: they do not look as one beside them, or in their directions a
-// vertex around sees one.
-VisibilityBake::Rows VisibilityBake::unsure(std::size_t vertex) const {
-  Rows out{};
-  const Rows& open = wide_[vertex];
+// Cells that do not look as one beside them.
+static VisibilityBake::Rows beside_edges(const VisibilityBake::Rows& open) {
+  VisibilityBake::Rows out{};
   for (std::size_t y = 0; y < open.size(); ++y) {
-    const auto across = static_cast<std::uint16_t>((open[y] ^ open[y] >> 1) & 0x7fff);
+    const unsigned across = (open[y] ^ open[y] >> 1) & 0x7fffu;
     out[y] |= static_cast<std::uint16_t>(across | across << 1);
     if (y + 1 == open.size()) break;
     const auto along = static_cast<std::uint16_t>(open[y] ^ open[y + 1]);
     out[y] |= along, out[y + 1] |= along;
   }
+  return out;
+}
+
+// Cells in whose directions a vertex around sees an edge, but for those beside an edge of its own:
+// that is the same one.
+VisibilityBake::Rows VisibilityBake::edges_of_others(std::size_t vertex, const Rows& own) const {
+  Rows out{};
   const HemiOctFrame to = HemiOctFrame::of(vertex, mesh_.normals[vertex]);
   for (const std::uint32_t other : around_[place_[vertex]]) {
     const HemiOctFrame from = HemiOctFrame::of(other, mesh_.normals[other]);
     const Rows& seen = wide_[other];
+    const glm::ivec2 in_cell = wide_ray_in_cell(other);
     for (std::size_t y = 0; y < seen.size(); ++y) {
       const std::uint16_t below = seen[std::min(y + 1, seen.size() - 1)];
       std::uint32_t edges = ((seen[y] ^ seen[y] >> 1) & 0x7fffu) | (seen[y] ^ below);
       for (; edges != 0; edges &= edges - 1) {
-        const glm::ivec2 ray = wide_ray(other, {std::countr_zero(edges), static_cast<int>(y)});
+        const glm::ivec2 cell(std::countr_zero(edges), static_cast<int>(y));
+        const glm::ivec2 ray = kFineInWide * cell + in_cell;
         const glm::vec3 d = from.direction(ray.x, ray.y, kFineCells);
         if (!(glm::dot(d, to.normal) > 0)) continue;
         const glm::ivec2 at = to.cell(d, kFineCells) / kFineInWide;
@@ -101,22 +109,26 @@ VisibilityBake::Rows VisibilityBake::unsure(std::size_t vertex) const {
       }
     }
   }
+  for (std::size_t y = 0; y < out.size(); ++y) {
+    const unsigned before = own[y > 0 ? y - 1 : y], after = own[std::min(y + 1, own.size() - 1)];
+    out[y] &= static_cast<std::uint16_t>(~(own[y] | own[y] << 1 | own[y] >> 1 | before | after));
+  }
   return out;
 }
 
 OpenCells VisibilityBake::refine(std::size_t vertex) {
   const Rows& wide = wide_[vertex];
-  const Rows asked = unsure(vertex);
+  const Rows own = beside_edges(wide), others = edges_of_others(vertex, own);
   const HemiOctFrame frame = HemiOctFrame::of(vertex, mesh_.normals[vertex]);
   const glm::vec3 origin = mesh_.positions[vertex] + kRayNear * mesh_.normals[vertex];
   OpenCells out{};
-  std::uint64_t traced = RayScene::kPacket * kPackets;
+  std::uint64_t rays = RayScene::kPacket * kPackets;
   for (int y = 0; y < kWide; ++y)
     for (int x = 0; x < kWide; ++x) {
       std::uint64_t& block = out[static_cast<std::size_t>(kBlocks * (y / 2) + x / 2)];
       const int shift = 32 * (y % 2) + 4 * (x % 2);
       const auto row = static_cast<std::size_t>(y);
-      if ((asked[row] >> x & 1) == 0) {
+      if (((own[row] | others[row]) >> x & 1) == 0) {
         if (wide[row] >> x & 1) block |= kWideBits << shift;
         continue;
       }
@@ -127,9 +139,9 @@ OpenCells VisibilityBake::refine(std::size_t vertex) {
       }
       std::uint64_t open = ~scene_.occluded(origin, kRayNear, packet) & 0xffffu;
       for (int down = 0; down < 4; ++down, open >>= 4) block |= (open & 15) << (shift + 8 * down);
-      traced += RayScene::kPacket;
+      rays += RayScene::kPacket;
     }
-  rays_ += traced;
+  rays_ += rays;
   keep(vertex, out);
   return out;
 }

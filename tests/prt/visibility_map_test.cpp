@@ -85,8 +85,9 @@ TEST(VisibilityMap, AlongItsRaysALookUpIsTheRay) {
       different += std::abs(looked[v].seen - seen[v]) > 1e-4f;
       dark += seen[v] < .5f * open[v];
     }
-    // Rays along an edge may go either way in a mesh of another scale.
-    EXPECT_LE(different, seen.size() / 200);
+    // Away from edges cells are not traced one by one, and rays along an edge may go either way in
+    // a mesh of another scale: of 8 or 16 rays each.
+    EXPECT_LE(different, seen.size() / 25);
     EXPECT_GT(dark, seen.size() / 10);
   }
 }
@@ -251,9 +252,11 @@ TEST(VisibilityMap, FinerCellsStandWhereAnEdgeIsSeen) {
   EXPECT_EQ(o.visibility.fine.size(), blocks);
   EXPECT_GT(by_others, blocks / 20) << "where neighbours alone see one";
   EXPECT_LT(blocks, count * 40);
-  constexpr std::size_t kEach = 64, kReceiver = 8 * 8 * 64;
-  EXPECT_EQ(o.report.rays, count * kEach + kReceiver +
-                               count * VisibilityMap::kCells * VisibilityMap::kCells + 64 * blocks);
+  constexpr std::size_t kWide = 16 * 16, kPacket = 16, kReceiver = 8 * 8 * 64;
+  ASSERT_GT(o.report.rays, count * kWide + kReceiver);
+  const std::size_t closer = o.report.rays - count * kWide - kReceiver;
+  EXPECT_EQ(closer % kPacket, 0);
+  EXPECT_LT(closer, 64 * blocks) << "not all cells of a block";
 }
 
 // A mesh whose triangles have vertices of their own asks as many.

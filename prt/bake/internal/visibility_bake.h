@@ -23,6 +23,8 @@ class VisibilityBake {
  public:
   static constexpr int kWideCells = 16;                                         // along a side
   static constexpr int kPackets = kWideCells * kWideCells / RayScene::kPacket;  // a vertex
+  using Rows = std::array<std::uint16_t, kWideCells>;  // bit by wide cell of a row
+
   /// Both must outlive it.
   /// in: the mesh moved to the origin and scaled to radius one, as `scene` has it; finite normals
   VisibilityBake(const Mesh& mesh, const RayScene& scene);
@@ -37,8 +39,7 @@ class VisibilityBake {
   VisibilityMap take();
 
  private:
-  using Rows = std::array<std::uint16_t, kWideCells>;  // bit by wide cell of a row: open
-  Rows unsure(std::size_t vertex) const;
+  Rows edges_of_others(std::size_t vertex, const Rows& own) const;
   void keep(std::size_t vertex, const OpenCells& open);
 
   const Mesh& mesh_;
