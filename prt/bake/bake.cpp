@@ -2,13 +2,11 @@
 
 #include <algorithm>
 #include <array>
-#include <atomic>
 #include <bit>
 #include <chrono>
 #include <cmath>
 #include <map>
 #include <mutex>
-#include <optional>
 #include <span>
 #include <tuple>
 #include <utility>
@@ -19,8 +17,7 @@
 #include "lighting/sh/irradiance.h"
 #include "prt/bake/bake.h"
 #include "prt/bake/bake_rules.h"
-#include "prt/bake/internal/hemi_oct_sums.h"
-#include "prt/bake/internal/visibility_bake.h"
+#include "prt/bake/internal/baker.h"
 #include "prt/geometry/mesh.h"
 #include "prt/geometry/receiver.h"
 #include "prt/rays/ray_pattern.h"
@@ -36,115 +33,8 @@ constexpr int kLanes = RayScene::kPacket;
 static_assert(kLanes == lighting::kBasisLanes);
 constexpr int kManyRays = 512;      // a quarter of them is enough for reflected light
 constexpr std::size_t kChunk = 64;  // points a task takes at once
-constexpr int kFloorAgainBands = 5;
 
-struct BakePoint {
-  glm::vec3 position, normal;
-  int rays;
-};
-
-// Where a blocked ray ended: a vertex of the triangle or texel of the receiver around it, chosen by
-// its weight in the interpolation.
-struct BounceHit {
-  static constexpr std::uint32_t kBeyond = 0xfffffffeu;  // the receiver beyond its grid
-  std::uint32_t point;
-  float weight;  // fraction of this ray in the point's transfer
-};
-
-struct PointResult {
-  std::vector<float> blocked;                      // sum over blocked rays of w Y_n
-  float blocked_fraction = 0, standard_error = 0;  // of the cosine
-  float behind = 0;                                // weight of rays that met a back face
-  std::vector<BounceHit> hits;
-  float all_hits = 0;  // weight of all hits, kept or not
-};
-
-// The bake works on a copy moved to the origin and scaled to radius one, so that neither the size
-// nor the place of the model changes a float operation.
-class Baker {
- public:
-  Baker(const Mesh& mesh, const BakeOptions& options)
-      : options_(options), bands_(options.bands), mesh_(mesh) {
-    const Bounds b = bounds_of(mesh);
-    centre_ = b.centre();
-    scale_ = 1 / std::max(radius_around(mesh, centre_), 1e-30f);
-    for (glm::vec3& p : mesh_.positions) p = (p - centre_) * scale_;
-    for (std::size_t i = 0; i < mesh_.positions.size(); ++i)
-      points_.push_back({mesh_.positions[i], mesh_.normals[i], options.rays});
-    if (options.receiver && !options.floor_apart) floor_albedo_ = options.receiver->albedo;
-    if (options.receiver) add_receiver_points(options.receiver->grid);
-    if (options.bounces > 0) bands_ = std::max(bands_, options.reflected_bands);
-    coefficients_ = solved_ = static_cast<std::size_t>(coefficient_count(bands_));
-  }
-
-  Result<BakedObject> run(Mesh mesh);
-
- private:
-  void add_receiver_points(const GroundGrid& grid);
-  int ground_rays_at(const glm::vec3& position) const;
-  bool is_ground_point(std::size_t i) const { return i >= mesh_.positions.size(); }
-  float plane_height() const { return (options_.receiver->grid.height - centre_.y) * scale_; }
-  bool grey() const;
-  void trace_point(const RayScene& scene, const RayPatterns& patterns, std::size_t index,
-                   PointResult& out) const;
-  std::uint64_t trace_points(const RayScene& scene, std::size_t first, double progress,
-                             std::vector<PointResult>& out);
-  std::uint64_t trace_by_visibility(const RayScene& scene, double progress,
-                                    std::vector<PointResult>& out);
-  void trace_wide(const RayScene& scene, const HemiOctSums& sums, std::size_t index,
-                  VisibilityBake& visibility, PointResult& out) const;
-  std::uint64_t trace_all(const RayScene& scene, std::vector<PointResult>& out);
-  void for_points(std::size_t first, std::size_t last, double progress,
-                  const std::function<void(std::size_t)>& act);
-  void keep_hits(const RayScene::RayPacket& packet, const glm::vec3& origin, const float* weight,
-                 const std::uint8_t* groups, std::size_t index, std::uint32_t blocked,
-                 PointResult& out) const;
-  std::uint32_t nearby_vertex(const RayScene::RayPacket& packet, int ray, float choice) const;
-  std::uint32_t nearby_texel(const glm::vec3& origin, const RayScene::RayPacket& packet, int ray,
-                             float choice) const;
-  std::uint32_t ground_mask(const RayScene::RayPacket& packet) const;
-  void start_transfer(std::size_t index, const PointResult& result);
-  void bounce(std::size_t index, const std::vector<BounceHit>& hits);
-  void bounce_all(const std::vector<PointResult>& results, int bounces, double progress);
-  void gather_from_floor(const std::vector<PointResult>& results, std::span<const float> far);
-  void bake_floor(const std::vector<PointResult>& results, BakedObject& out);
-  std::array<double, 3> sum_of_constants(const std::vector<float>& transfer) const;
-  void add_further_bounces(const std::array<double, 3>& before, const std::array<double, 3>& last);
-  void report_progress(double fraction);
-  std::vector<PointQuality> quality(const std::vector<PointResult>& results) const;
-  double standard_error(const std::vector<PointResult>& results,
-                        const std::vector<PointQuality>& quality) const;
-  Transfer packed_vertices() const;
-  Transfer packed_deficit() const;
-  Transfer packed_reflected(std::size_t first, std::size_t count) const;
-  Transfer packed(std::size_t first, std::size_t count, int bands) const;
-  Transfer shadow_probes() const;
-
-  std::size_t place(std::size_t point, int channel) const {
-    return (point * static_cast<std::size_t>(channels_) + static_cast<std::size_t>(channel)) *
-           coefficients_;
-  }
-  const float* transfer_at(std::size_t point, int channel) const {
-    return &current_[place(point, channel)];
-  }
-
-  const BakeOptions& options_;
-  int bands_;  // traced: as many as the transfer or its reflected part needs
-  Mesh mesh_;
-  glm::vec3 centre_{};
-  float scale_ = 1;
-  std::vector<BakePoint> points_;
-  std::size_t coefficients_ = 0, solved_ = 0;  // kept, and what bounces are found for
-  int channels_ = 1;
-  Rgb floor_albedo_;                       // of the receiver, as far as its light is counted in
-  std::vector<float> shadowed_, current_;  // [point][channel][n]
-  std::vector<float> added_, next_;        // by the last bounce, by the next one
-  std::vector<float> ground_far_;          // transfer of an unshadowed receiver, per n
-  std::vector<float> far_;                 // of what bounces, beyond the receiver's grid
-  VisibilityMap visibility_;
-  std::mutex progress_mutex_;
-  double progress_ = 0;
-};
+}  // namespace
 
 void Baker::add_receiver_points(const GroundGrid& grid) {
   for (int j = 0; j < grid.size; ++j)
@@ -157,7 +47,7 @@ void Baker::add_receiver_points(const GroundGrid& grid) {
     }
 }
 
-// Rays into a narrow cone have little weight each: fewer of them are as exact.
+// Rays into a narrow cone have little weight each: fewer of them find the floor's light as exactly.
 int Baker::ground_rays_at(const glm::vec3& position) const {
   const float distance = glm::length(position);
   if (distance <= kConeFrom) return options_.ground_rays;
@@ -177,19 +67,21 @@ std::uint32_t Baker::ground_mask(const RayScene::RayPacket& packet) const {
   return mask;
 }
 
-// 0..1, even over the hits of a point and other ones at the next: steps of the golden ratio.
-static float choice_of(std::size_t point, std::size_t hit) {
-  const double at = .6180339887498949 * double(hit) + .7548776662466927 * double(point);
+// 0..1, even over the rays of a point and other ones at the next.
+static float choice_of(std::size_t point, int ray) {
+  constexpr double kByRay = .6180339887498949, kByPoint = .7548776662466927;
+  const double at = kByRay * ray + kByPoint * double(point);
   return static_cast<float>(at - std::floor(at));
 }
 
 // Of many rays one of the four groups stands for all (null: all are kept): reflected light is a
 // small and smooth part, and every hit is read again in every bounce.
-void Baker::keep_hits(const RayScene::RayPacket& packet, const glm::vec3& origin,
+void Baker::keep_hits(const RayScene::RayPacket& packet, int first_ray, const glm::vec3& origin,
                       const float* weight, const std::uint8_t* groups, std::size_t index,
                       std::uint32_t blocked, PointResult& out) const {
   for (; blocked; blocked &= blocked - 1) {
     const int i = std::countr_zero(blocked);
+    if (!(weight[i] > 0)) continue;
     const bool on_object = packet.triangle[i] != RayScene::kMiss;
     if (on_object && !packet.front[i]) {
       out.behind += weight[i];
@@ -198,7 +90,7 @@ void Baker::keep_hits(const RayScene::RayPacket& packet, const glm::vec3& origin
     if (!on_object && is_ground_point(index)) continue;
     out.all_hits += weight[i];
     if (groups && groups[i] != 0) continue;
-    const float choice = choice_of(index, out.hits.size());
+    const float choice = choice_of(index, first_ray + i);
     const std::uint32_t point =
         on_object ? nearby_vertex(packet, i, choice) : nearby_texel(origin, packet, i, choice);
     out.hits.push_back({point, weight[i]});
@@ -230,8 +122,8 @@ std::uint32_t Baker::nearby_texel(const glm::vec3& origin, const RayScene::RayPa
          static_cast<std::uint32_t>(y * grid.size + x);
 }
 
-// Of quarters of the rays, each of which holds a quarter of the weight; the mean of four has variance
-// s^2/4.
+// Of quarters of the rays, each of which holds a quarter of the weight; the mean of four has
+// variance s^2/4.
 static std::pair<float, float> sum_and_error(const std::array<float, 4>& by_group) {
   float sum = 0, square = 0;
   for (const float g : by_group) sum += g;
@@ -286,8 +178,8 @@ void Baker::trace_point(const RayScene& scene, const RayPatterns& patterns, std:
     if (blocked == 0) continue;
     const std::uint8_t* const groups = patterns.groups(turn, block);
     if (options_.bounces > 0)
-      keep_hits(packet, origin, weight, patterns.rays() >= kManyRays ? groups : nullptr, index,
-                blocked, out);
+      keep_hits(packet, kLanes * block, origin, weight,
+                patterns.rays() >= kManyRays ? groups : nullptr, index, blocked, out);
     lighting::evaluate_basis_block(bands_, packet.x, packet.y, packet.z, basis);
     for (int i = 0; i < kLanes; ++i) {
       weight[i] = blocked >> i & 1 ? weight[i] : 0;
@@ -319,86 +211,8 @@ void Baker::start_transfer(std::size_t index, const PointResult& result) {
     }
 }
 
-// What of added_ arrives by one more reflection, into next_.
-void Baker::bounce(std::size_t index, const std::vector<BounceHit>& hits) {
-  for (int c = 0; c < channels_; ++c) {
-    float* const sum = &next_[place(index, c)];
-    std::fill_n(sum, solved_, 0.f);
-    for (const BounceHit& hit : hits) {
-      const bool beyond = hit.point == BounceHit::kBeyond;
-      const float albedo =
-          beyond || is_ground_point(hit.point) ? floor_albedo_[c] : mesh_.albedo[hit.point][c];
-      if (albedo == 0) continue;
-      const float* const from = beyond ? far_.data() : &added_[place(hit.point, c)];
-      for (std::size_t n = 0; n < solved_; ++n) sum[n] += hit.weight * albedo * from[n];
-    }
-  }
-}
-
-// What of current_ comes by one reflection on a white receiver, into shadowed_.
-void Baker::gather_from_floor(const std::vector<PointResult>& results, std::span<const float> far) {
-  for_points(0, points_.size(), 0, [&](std::size_t index) {
-    for (int c = 0; c < channels_; ++c) {
-      float* const sum = &shadowed_[place(index, c)];
-      std::fill_n(sum, solved_, 0.f);
-      for (const BounceHit& hit : results[index].hits) {
-        const bool beyond = hit.point == BounceHit::kBeyond;
-        if (!beyond && !is_ground_point(hit.point)) continue;
-        const float* const from = beyond ? far.data() : transfer_at(hit.point, c);
-        for (std::size_t n = 0; n < solved_; ++n) sum[n] += hit.weight * from[n];
-      }
-    }
-  });
-}
-
-// Solves current_ = shadowed_ + what current_ reflects, by bounces.
-void Baker::bounce_all(const std::vector<PointResult>& results, int bounces, double progress) {
-  current_ = added_ = shadowed_;
-  if (bounces == 0) return;
-  next_.assign(current_.size(), 0);
-  std::array<double, 3> before{}, now = sum_of_constants(added_);
-  for (int b = 0; b < bounces; ++b) {
-    for_points(0, points_.size(), progress / bounces, [&](std::size_t i) {
-      bounce(i, results[i].hits);
-      for (int c = 0; c < channels_; ++c)
-        for (std::size_t n = place(i, c); n < place(i, c) + solved_; ++n) current_[n] += next_[n];
-    });
-    std::swap(added_, next_);
-    far_.assign(coefficients_, 0);  // beyond the grid the receiver shows its first light alone
-    before = std::exchange(now, sum_of_constants(added_));
-  }
-  if (bounces > 1) add_further_bounces(before, now);
-}
-
-// Summed over all points, by channel: under a constant light.
-std::array<double, 3> Baker::sum_of_constants(const std::vector<float>& transfer) const {
-  std::array<double, 3> sum{};
-  for (std::size_t p = 0; p < points_.size(); ++p)
-    for (int c = 0; c < channels_; ++c)
-      sum[static_cast<std::size_t>(c)] += double(transfer[place(p, c)]);
-  return sum;
-}
-
-// The bounces that are not traced: each is the one before, fainter by the same factor. Power
-// iteration: what a bounce adds soon has the form of the scene's largest eigenvector, whatever the
-// light.
-void Baker::add_further_bounces(const std::array<double, 3>& before,
-                                const std::array<double, 3>& last) {
-  std::array<float, 3> further{};
-  for (std::size_t c = 0; c < 3; ++c) {
-    constexpr double kMaxFraction = .95;  // beyond, two bounces say too little
-    const double q = before[c] > 0 ? std::clamp(last[c] / before[c], 0., kMaxFraction) : 0;
-    further[c] = static_cast<float>(q / (1 - q));
-  }
-  for_points(0, points_.size(), 0, [&](std::size_t p) {
-    for (int c = 0; c < channels_; ++c)
-      for (std::size_t n = place(p, c); n < place(p, c) + solved_; ++n)
-        current_[n] += further[static_cast<std::size_t>(c)] * added_[n];
-  });
-}
-
 void Baker::report_progress(double fraction) {
-  if (!options_.progress) return;
+  if (!options_.progress || fraction == 0) return;
   const std::scoped_lock lock(progress_mutex_);
   progress_ += fraction;
   options_.progress(std::min(1., progress_));
@@ -467,40 +281,6 @@ Transfer Baker::packed(std::size_t first, std::size_t count, int bands) const {
   return out;
 }
 
-// t(rho) = sum_k rho^k t_k with t_k = (1 - A)^-1 G t_(k-1): G by one reflection on the white floor,
-// A by the object. From the third on each is the one before times the echo.
-void Baker::bake_floor(const std::vector<PointResult>& results, BakedObject& out) {
-  const std::size_t vertices = mesh_.positions.size();
-  const auto sums = [&] {
-    std::array<double, 3> sum{};
-    for (std::size_t p = 0; p < points_.size(); ++p)
-      for (int c = 0; c < channels_; ++c)
-        sum[static_cast<std::size_t>(c)] += double(transfer_at(p, c)[0]);
-    return sum;
-  };
-  gather_from_floor(results, ground_far_);
-  bounce_all(results, options_.bounces, .05);
-  out.floor = packed(0, vertices, options_.reflected_bands);
-  out.ground_floor = packed(vertices, points_.size() - vertices, options_.reflected_bands);
-  // What comes to the floor a second time is faint, and nearly the same wherever it came from.
-  const int few_bands = std::min(kFloorAgainBands, bands_);
-  solved_ = static_cast<std::size_t>(coefficient_count(few_bands));
-  far_.assign(coefficients_, 0);
-  gather_from_floor(results, far_);
-  bounce_all(results, options_.bounces, 0);
-  out.floor_again = packed(0, vertices, few_bands);
-  out.ground_floor_again = packed(vertices, points_.size() - vertices, few_bands);
-  const std::array<double, 3> twice = sums();
-  gather_from_floor(results, far_);
-  bounce_all(results, options_.bounces, 0);
-  const std::array<double, 3> thrice = sums();
-  for (int c = 0; c < 3; ++c) {
-    const auto from = static_cast<std::size_t>(c < channels_ ? c : 0);
-    if (twice[from] > 0)
-      out.floor_echo[c] = static_cast<float>(std::clamp(thrice[from] / twice[from], 0., .95));
-  }
-}
-
 Transfer Baker::shadow_probes() const {
   std::vector<std::size_t> dark;
   for (std::size_t p = mesh_.positions.size(); p < points_.size(); ++p)
@@ -546,11 +326,12 @@ std::uint64_t Baker::trace_points(const RayScene& scene, std::size_t first, doub
 // What a vertex sees through its wide cells, and what its rays hit.
 void Baker::trace_wide(const RayScene& scene, const HemiOctSums& sums, std::size_t index,
                        VisibilityBake& visibility, PointResult& out) const {
+  const HemiOctFrame frame = HemiOctFrame::of(index, points_[index].normal);
   const glm::vec3 origin = points_[index].position + kRayNear * points_[index].normal;
   RayScene::RayPacket packet;
   alignas(64) float weight[kLanes];
   for (int block = 0; block < VisibilityBake::kPackets; ++block) {
-    visibility.wide_rays(index, block, packet);
+    VisibilityBake::wide_rays(frame, block, packet);
     for (int i = 0; i < kLanes; ++i)
       weight[i] = sums.wide_weight(4 * (block % 4) + i % 4, 4 * (block / 4) + i / 4);
     if (options_.bounces == 0) {
@@ -563,8 +344,34 @@ void Baker::trace_wide(const RayScene& scene, const HemiOctSums& sums, std::size
       if (packet.triangle[i] != RayScene::kMiss) blocked |= 1u << i;
     visibility.keep_wide(index, block, blocked);
     if (options_.receiver) blocked |= ground_mask(packet);
-    keep_hits(packet, origin, weight, nullptr, index, blocked, out);
+    keep_hits(packet, kLanes * block, origin, weight, nullptr, index, blocked, out);
   }
+}
+
+// What hides from all wide rays of a vertex: through the first of its finer cells that are blocked.
+void Baker::trace_blocked(const RayScene& scene, const OpenCells& open, std::size_t index,
+                          PointResult& out) const {
+  const HemiOctFrame frame = HemiOctFrame::of(index, mesh_.normals[index]);
+  RayScene::RayPacket packet;
+  alignas(64) float weight[kLanes] = {};
+  int rays = 0;
+  for (int i = 0; i < VisibilityMap::kFineCells * VisibilityMap::kFineCells && rays < kLanes; ++i) {
+    const int x = i % VisibilityMap::kFineCells, y = i / VisibilityMap::kFineCells;
+    const glm::vec3 d = frame.direction(x, y, VisibilityMap::kFineCells);
+    const std::uint64_t block =
+        open[static_cast<std::size_t>(VisibilityMap::kBlocks * (y / 8) + x / 8)];
+    if ((block >> (8 * (y % 8) + x % 8) & 1) != 0 && !(options_.receiver && d.y < 0)) continue;
+    packet.x[rays] = d.x, packet.y[rays] = d.y, packet.z[rays] = d.z;
+    weight[rays++] = glm::dot(d, frame.normal);
+  }
+  for (int i = rays; i < kLanes; ++i)
+    packet.x[i] = frame.normal.x, packet.y[i] = frame.normal.y, packet.z[i] = frame.normal.z;
+  const glm::vec3 origin = points_[index].position + kRayNear * points_[index].normal;
+  scene.intersect(origin, kRayNear, packet);
+  std::uint32_t blocked = options_.receiver ? ground_mask(packet) : 0;
+  for (int i = 0; i < kLanes; ++i)
+    if (packet.triangle[i] != RayScene::kMiss) blocked |= 1u << i;
+  keep_hits(packet, 0, origin, weight, nullptr, index, blocked, out);
 }
 
 // Vertices, by what they see past the mesh. Returns the number of rays.
@@ -578,13 +385,15 @@ std::uint64_t Baker::trace_by_visibility(const RayScene& scene, double progress,
   for_points(0, vertices, .65 * progress, [&](std::size_t i) {
     PointResult& result = out[i];
     result.blocked.assign(coefficients_, 0);
-    const HemiOctSums::Blocked blocked =
-        sums.add_blocked(visibility.refine(i), HemiOctFrame::of(i, mesh_.normals[i]),
-                         options_.receiver.has_value(), result.blocked);
-    result.blocked_fraction = blocked.all(), result.standard_error = blocked.standard_error();
-    // What the few rays hit stands for all that is blocked.
+    const OpenCells open = visibility.refine(i);
+    const HemiOctSums::Blocked blocked = sums.add_blocked(
+        open, HemiOctFrame::of(i, mesh_.normals[i]), options_.receiver.has_value(), result.blocked);
+    if (options_.bounces > 0 && result.hits.empty() && blocked.fraction > 0)
+      trace_blocked(scene, open, i, result);
+    result.blocked_fraction = blocked.fraction, result.standard_error = blocked.standard_error;
+    // What wide rays hit stands for all that is blocked.
     const float hit = result.all_hits + result.behind;
-    for (BounceHit& h : result.hits) h.weight *= blocked.all() / hit;
+    for (BounceHit& h : result.hits) h.weight *= blocked.fraction / hit;
     start_transfer(i, result);
   });
   visibility_ = visibility.take();
@@ -596,11 +405,11 @@ std::uint64_t Baker::trace_all(const RayScene& scene, std::vector<PointResult>& 
   constexpr double kProgress = .9;
   if (!options_.visibility) return trace_points(scene, 0, kProgress, out);
   const std::size_t vertices = mesh_.positions.size();
-  const std::uint64_t rays =
-      trace_by_visibility(scene, points_.size() > vertices ? .8 : kProgress, out);
   // A wish for more rays than the visibility has cells is met by rays of their own.
   const bool apart = options_.rays > VisibilityMap::kFineCells * VisibilityMap::kFineCells;
-  return rays + trace_points(scene, apart ? 0 : vertices, kProgress - .8, out);
+  const double by_visibility = apart ? .2 : points_.size() > vertices ? .8 : kProgress;
+  const std::uint64_t rays = trace_by_visibility(scene, by_visibility, out);
+  return rays + trace_points(scene, apart ? 0 : vertices, kProgress - by_visibility, out);
 }
 
 Result<BakedObject> Baker::run(Mesh mesh) {
@@ -642,8 +451,6 @@ Result<BakedObject> Baker::run(Mesh mesh) {
   out.report = {rays, seconds.count(), standard_error(results, by_vertex), std::move(by_vertex)};
   return out;
 }
-
-}  // namespace
 
 Result<BakedObject> bake(Mesh mesh, const BakeOptions& o) {
   if (mesh.triangles.empty()) return fail(ErrorCode::kInvalid, "mesh", "has no triangles");

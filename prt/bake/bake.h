@@ -30,8 +30,8 @@ struct BakeOptions {
   /// Of light between the object's parts, and between object and receiver. From the second on, what
   /// comes after the last is continued as a geometric series.
   int bounces = 4;
-  /// Per vertex, a multiple of 64. With `visibility` at least: the rays that find it serve, up to
-  /// 4,096.
+  /// Per vertex, a multiple of 64. With `visibility` vertices send as many as their edges need, and
+  /// this counts only above 4,096.
   int rays = 1024;
   int ground_rays = 1024;   // per receiver texel, a multiple of 64; where it sees little, fewer
   bool visibility = false;  // whether to find BakedObject::visibility
@@ -51,7 +51,7 @@ struct BakeOptions {
 /// How well a vertex is known; not kept in files.
 struct PointQuality {
   float standard_error = 0;  // of t_0, fraction of an open point's
-  // Fraction of its rays that met a surface from behind: it lies within something
+  // Fraction of its rays' cosine that met a surface from behind: it lies within something
   float behind = 0;
 };
 
@@ -59,7 +59,8 @@ struct BakeReport {
   std::uint64_t rays = 0;
   double seconds = 0;
   /// RMS over vertices of the standard error of t_0 relative to the mean t_0, from the spread of
-  /// four quarters of the rays, or two halves; an upper bound, since together they lie closer.
+  /// four quarters of the rays, or two halves of a visibility map's cells. Together they lie closer,
+  /// but what hides from all rays of a wide cell is not in it.
   double standard_error = 0;
   std::vector<PointQuality> quality;  // by vertex
 };
@@ -104,7 +105,7 @@ BakedObject on_floor(const BakedObject& baked, const Rgb& albedo);
 /// source:  Sloan, Kautz & Snyder 2002;
 ///          t = A_l Y_n/pi - (1/N) sum_blocked Y_n(d_i), d_i by the cosine, or with `visibility`
 ///          - sum_blocked of its cells' integrals (convex shapes come out exact);
-///          t^{b+1} = t^S + (1/N) sum_blocked rho t^b(hit)
+///          t^{b+1} = t^S + sum_hits w rho t^b(hit), w of the ray's cosine
 Result<BakedObject> bake(Mesh mesh, const BakeOptions& options);
 
 }  // namespace penumbra::prt

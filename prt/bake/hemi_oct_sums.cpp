@@ -1,7 +1,6 @@
 #include "prt/bake/internal/hemi_oct_sums.h"
 
 #include <algorithm>
-#include <bit>
 #include <cmath>
 #include <glm/geometric.hpp>
 #include <glm/vec2.hpp>
@@ -38,45 +37,54 @@ std::vector<float> sums_of_four(const std::vector<float>& table, int side, std::
 }  // namespace
 
 HemiOctSums::HemiOctSums(int bands)
-    : bands_(bands),
-      terms_(static_cast<std::size_t>(coefficient_count(bands))),
-      fine_(static_cast<std::size_t>(kFineSide * kFineSide) * terms_) {
-  constexpr int kInside = 2;  // places of a cell along a side
+    : bands_(bands), terms_(static_cast<std::size_t>(coefficient_count(bands))) {
+  constexpr int kPlaces = 4 * kFineSide;  // along the square's side
+  for (std::size_t k = 0; k < tables_.size(); ++k) {
+    Tables& t = tables_[k];
+    t.fine.resize(static_cast<std::size_t>(kFineSide * kFineSide) * terms_);
+    const glm::dvec2 shift = .25 + .5 * glm::dvec2(k % 2, k / 2);
+    for (int i = 0; i < kFineSide * kFineSide; ++i) {
+      const glm::dvec2 ray = glm::dvec2(i % kFineSide, i / kFineSide) + shift;
+      const glm::dvec3 p = on_octahedron(2. * ray / double(kFineSide) - 1.);
+      t.x.push_back(static_cast<float>(p.x));
+      t.y.push_back(static_cast<float>(p.y));
+      t.z.push_back(static_cast<float>(p.z));
+    }
+  }
   double basis[kMaxCoefficients];
-  for (int y = 0; y < kFineSide; ++y)
-    for (int x = 0; x < kFineSide; ++x) {
-      float* const sum = &fine_[static_cast<std::size_t>(kFineSide * y + x) * terms_];
-      for (int k = 0; k < kInside * kInside; ++k) {
-        const glm::dvec2 at(x + (k % kInside + .5) / kInside, y + (k / kInside + .5) / kInside);
-        const glm::dvec3 p = on_octahedron(2. * at / double(kFineSide) - 1.);
-        const double length = glm::length(p);
-        // dw = dA / |p|^3 on the octahedron's plane seen from above, of which a cell is 2 / kFineSide^2
-        const double weight = 2. / (kFineSide * kFineSide * kInside * kInside) /
-                              std::pow(length, 3) * p.z / length / kPi;
-        lighting::evaluate_basis(bands, p / length, basis);
+  for (int y = 0; y < kPlaces; ++y)
+    for (int x = 0; x < kPlaces; ++x) {
+      const glm::dvec3 p = on_octahedron((2. * glm::dvec2(x, y) + 1.) / double(kPlaces) - 1.);
+      const double length = glm::length(p);
+      // dw = dA / |p|^3 on the octahedron seen from above, of which a place is 2 / kPlaces^2
+      const double weight = 2. / (kPlaces * kPlaces) / std::pow(length, 4) * p.z / kPi;
+      lighting::evaluate_basis(bands, p / length, basis);
+      constexpr int kPlacesOfWide = kPlaces / VisibilityBake::kWideCells;
+      wide_[static_cast<std::size_t>(VisibilityBake::kWideCells * (y / kPlacesOfWide) +
+                                     x / kPlacesOfWide)] += static_cast<float>(weight);
+      for (std::size_t k = 0; k < tables_.size(); ++k) {
+        // The nearest ray's: those at a quarter reach a quarter back, those at three a quarter on.
+        const auto cell = [](int place, bool late) {
+          return std::clamp((place + (late ? -1 : 1)) >> 2, 0, kFineSide - 1);
+        };
+        float* const sum =
+            &tables_[k].fine[static_cast<std::size_t>(kFineSide * cell(y, k / 2 != 0) +
+                                                      cell(x, k % 2 != 0)) *
+                             terms_];
         for (std::size_t n = 0; n < terms_; ++n) sum[n] += static_cast<float>(weight * basis[n]);
       }
-      const glm::dvec3 middle =
-          on_octahedron((2. * glm::dvec2(x, y) + 1.) / double(kFineSide) - 1.);
-      x_.push_back(static_cast<float>(middle.x));
-      y_.push_back(static_cast<float>(middle.y));
-      z_.push_back(static_cast<float>(middle.z));
     }
-  cells_ = sums_of_four(fine_, kFineSide, terms_);
-  blocks_ = sums_of_four(sums_of_four(cells_, kSide, terms_), kSide / 2, terms_);
+  for (Tables& t : tables_) {
+    t.cells = sums_of_four(t.fine, kFineSide, terms_);
+    t.blocks = sums_of_four(sums_of_four(t.cells, kSide, terms_), kSide / 2, terms_);
+  }
 }
 
-// Of the cosine; Y_0 is a constant.
+// The cosine from its product with Y_0, a constant.
+static const auto kPerConstant = static_cast<float>(std::sqrt(4 * kPi));
+
 float HemiOctSums::weight(const std::vector<float>& table, std::size_t cell) const {
-  static const auto kPerConstant = static_cast<float>(std::sqrt(4 * kPi));
   return kPerConstant * table[cell * terms_];
-}
-
-float HemiOctSums::wide_weight(int x, int y) const {
-  float sum = 0;
-  for (int k = 0; k < 4; ++k)
-    sum += weight(cells_, static_cast<std::size_t>(kSide * (2 * y + k / 2) + 2 * x + k % 2));
-  return sum;
 }
 
 void HemiOctSums::add(const std::vector<float>& table, std::size_t cell,
@@ -85,10 +93,10 @@ void HemiOctSums::add(const std::vector<float>& table, std::size_t cell,
   for (std::size_t n = 0; n < terms_; ++n) sum[n] += of_cell[n];
 }
 
-OpenCells HemiOctSums::cells_below(const HemiOctFrame& frame) const {
+OpenCells HemiOctSums::cells_below(const Tables& t, const HemiOctFrame& frame) {
   OpenCells out{};
-  for (std::size_t i = 0; i < x_.size(); ++i) {
-    const float up = frame.first.y * x_[i] + frame.second.y * y_[i] + frame.normal.y * z_[i];
+  for (std::size_t i = 0; i < t.x.size(); ++i) {
+    const float up = frame.first.y * t.x[i] + frame.second.y * t.y[i] + frame.normal.y * t.z[i];
     const std::size_t x = i % kFineSide, y = i / kFineSide;
     out[kBlockSide * (y / 8) + x / 8] |= std::uint64_t{up < 0} << (8 * (y % 8) + x % 8);
   }
@@ -97,16 +105,16 @@ OpenCells HemiOctSums::cells_below(const HemiOctFrame& frame) const {
 
 HemiOctSums::Blocked HemiOctSums::add_blocked(const OpenCells& open, const HemiOctFrame& frame,
                                               bool below, std::span<float> coefficients) const {
-  const OpenCells below_plane = below ? cells_below(frame) : OpenCells{};
-  Blocked out;
+  const Tables& t = tables_[which(frame.fine_shift)];
+  const OpenCells below_plane = below ? cells_below(t, frame) : OpenCells{};
+  float white_less_black = 0;
   float sum[kMaxCoefficients] = {};
   const std::span<float> sums(sum, terms_);
   for (std::size_t block = 0; block < open.size(); ++block) {
     const std::uint64_t blocked = ~open[block] | below_plane[block];
     if (blocked == 0) continue;
     if (blocked == kAll) {
-      add(blocks_, block, sums);
-      out.white += .5f * weight(blocks_, block), out.black += .5f * weight(blocks_, block);
+      add(t.blocks, block, sums);
       continue;
     }
     for (std::size_t i = 0; i < 16; ++i) {  // cells of the block, each of four finer ones
@@ -114,14 +122,14 @@ HemiOctSums::Blocked HemiOctSums::add_blocked(const OpenCells& open, const HemiO
       const std::uint64_t quad = blocked >> shift & 0x303;
       if (quad == 0) continue;
       const std::size_t x = 4 * (block % kBlockSide) + i % 4, y = 4 * (block / kBlockSide) + i / 4;
-      const float of_each = .25f * weight(cells_, kSide * y + x);
+      const float of_each = .25f * weight(t.cells, kSide * y + x);
       constexpr int kBits[] = {0, 1, 8, 9};
       for (std::size_t k = 0; k < 4; ++k) {
         if ((quad >> kBits[k] & 1) == 0) continue;
-        (k == 0 || k == 3 ? out.white : out.black) += of_each;
-        if (quad != 0x303) add(fine_, kFineSide * (2 * y + k / 2) + 2 * x + k % 2, sums);
+        white_less_black += k == 0 || k == 3 ? of_each : -of_each;
+        if (quad != 0x303) add(t.fine, kFineSide * (2 * y + k / 2) + 2 * x + k % 2, sums);
       }
-      if (quad == 0x303) add(cells_, kSide * y + x, sums);
+      if (quad == 0x303) add(t.cells, kSide * y + x, sums);
     }
   }
   const lighting::ShRotation turn(glm::dmat3(frame.first, frame.second, frame.normal), bands_);
@@ -131,7 +139,7 @@ HemiOctSums::Blocked HemiOctSums::add_blocked(const OpenCells& open, const HemiO
       for (int k = -l; k <= l; ++k) turned += turn.entry(l, m, k) * double(sum[sh_index(l, k)]);
       coefficients[static_cast<std::size_t>(sh_index(l, m))] += static_cast<float>(turned);
     }
-  return out;
+  return {kPerConstant * sum[0], std::abs(white_less_black)};
 }
 
 }  // namespace penumbra::prt

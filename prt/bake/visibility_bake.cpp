@@ -2,12 +2,12 @@
 #include <bit>
 #include <glm/ext/vector_int2.hpp>
 #include <glm/geometric.hpp>
+#include <optional>
 #include <span>
 #include <utility>
 
 #include "prt/bake/bake_rules.h"
 #include "prt/bake/internal/visibility_bake.h"
-#include "prt/rays/ray_pattern.h"
 
 namespace penumbra::prt {
 
@@ -17,16 +17,11 @@ constexpr int kFineCells = VisibilityMap::kFineCells, kBlocks = VisibilityMap::k
 constexpr int kWide = VisibilityBake::kWideCells;
 constexpr int kFineInWide = kFineCells / kWide;  // along a side
 constexpr std::uint64_t kAllOpen = ~std::uint64_t{0};
-// By wide cell of a block of two by two.
-constexpr std::uint64_t kWideBits = 0x0f0f0f0f;
 
 static_assert(RayScene::kPacket == 16 && kFineInWide == 4 && kWide == 2 * kBlocks);
 
-// Of a wide cell the finer one through which its ray goes: one of the four in the middle, another one
-// for other vertices.
-glm::ivec2 wide_ray_in_cell(std::size_t vertex) {
-  return 1 + HemiOctFrame::fine_of_four(vertex);
-}
+// The finer cell, of four by four, through which a wide cell's ray goes: one in the middle.
+constexpr int kWideRay = 2;
 
 // By place of positions the vertices that share a triangle with one there, each once: seams are no
 // rims.
@@ -56,12 +51,10 @@ VisibilityBake::VisibilityBake(const Mesh& mesh, const RayScene& scene)
       fine_(mesh.positions.size()),
       visibility_(mesh.positions.size()) {}
 
-void VisibilityBake::wide_rays(std::size_t vertex, int block, RayScene::RayPacket& packet) const {
-  const HemiOctFrame frame = HemiOctFrame::of(vertex, mesh_.normals[vertex]);
-  const glm::ivec2 in_cell = wide_ray_in_cell(vertex);
+void VisibilityBake::wide_rays(const HemiOctFrame& frame, int block, RayScene::RayPacket& packet) {
   for (int i = 0; i < RayScene::kPacket; ++i) {
     const glm::ivec2 cell(4 * (block % 4) + i % 4, 4 * (block / 4) + i / 4);
-    const glm::ivec2 ray = kFineInWide * cell + in_cell;
+    const glm::ivec2 ray = kFineInWide * cell + kWideRay;
     const glm::vec3 d = frame.direction(ray.x, ray.y, kFineCells);
     packet.x[i] = d.x, packet.y[i] = d.y, packet.z[i] = d.z;
   }
@@ -87,70 +80,113 @@ static VisibilityBake::Rows beside_edges(const VisibilityBake::Rows& open) {
   return out;
 }
 
-// Cells in whose directions a vertex around sees an edge, but for those beside an edge of its own:
-// that is the same one.
-VisibilityBake::Rows VisibilityBake::edges_of_others(std::size_t vertex, const Rows& own) const {
+// Cells in whose directions a vertex around sees an edge, up to two away along the mesh.
+VisibilityBake::Rows VisibilityBake::edges_of_others(std::size_t vertex) const {
+  const std::vector<std::uint32_t>& beside = around_[place_[vertex]];
+  std::vector<std::uint32_t> others = beside;
+  for (const std::uint32_t other : beside)
+    others.insert(others.end(), around_[place_[other]].begin(), around_[place_[other]].end());
+  std::ranges::sort(others);
+  others.erase(std::ranges::unique(others).begin(), others.end());
   Rows out{};
   const HemiOctFrame to = HemiOctFrame::of(vertex, mesh_.normals[vertex]);
-  for (const std::uint32_t other : around_[place_[vertex]]) {
+  for (const std::uint32_t other : others) {
     const HemiOctFrame from = HemiOctFrame::of(other, mesh_.normals[other]);
-    const Rows& seen = wide_[other];
-    const glm::ivec2 in_cell = wide_ray_in_cell(other);
-    for (std::size_t y = 0; y < seen.size(); ++y) {
-      const std::uint16_t below = seen[std::min(y + 1, seen.size() - 1)];
-      std::uint32_t edges = ((seen[y] ^ seen[y] >> 1) & 0x7fffu) | (seen[y] ^ below);
-      for (; edges != 0; edges &= edges - 1) {
-        const glm::ivec2 cell(std::countr_zero(edges), static_cast<int>(y));
-        const glm::ivec2 ray = kFineInWide * cell + in_cell;
+    const Rows edges = beside_edges(wide_[other]);
+    for (std::size_t y = 0; y < edges.size(); ++y)
+      for (unsigned left = edges[y]; left != 0; left &= left - 1) {
+        const glm::ivec2 cell(std::countr_zero(left), static_cast<int>(y));
+        const glm::ivec2 ray = kFineInWide * cell + kWideRay;
         const glm::vec3 d = from.direction(ray.x, ray.y, kFineCells);
         if (!(glm::dot(d, to.normal) > 0)) continue;
         const glm::ivec2 at = to.cell(d, kFineCells) / kFineInWide;
         out[static_cast<std::size_t>(at.y)] |= static_cast<std::uint16_t>(1u << at.x);
       }
-    }
-  }
-  for (std::size_t y = 0; y < out.size(); ++y) {
-    const unsigned before = own[y > 0 ? y - 1 : y], after = own[std::min(y + 1, own.size() - 1)];
-    out[y] &= static_cast<std::uint16_t>(~(own[y] | own[y] << 1 | own[y] >> 1 | before | after));
   }
   return out;
 }
 
+// Cells to trace, each once.
+class CellQueue {
+ public:
+  void ask(int x, int y) {
+    std::uint16_t& row = asked_[static_cast<std::size_t>(y)];
+    if (row >> x & 1) return;
+    row |= static_cast<std::uint16_t>(1u << x);
+    waiting_[count_++] = {x, y};
+  }
+  void ask_all(const VisibilityBake::Rows& rows) {
+    for (int y = 0; y < kWide; ++y)
+      for (unsigned left = rows[static_cast<std::size_t>(y)]; left != 0; left &= left - 1)
+        ask(std::countr_zero(left), y);
+  }
+  bool was_asked(int x, int y) const { return asked_[static_cast<std::size_t>(y)] >> x & 1; }
+  std::optional<glm::ivec2> next() {
+    if (done_ == count_) return std::nullopt;
+    return waiting_[done_++];
+  }
+
+ private:
+  VisibilityBake::Rows asked_{};
+  std::array<glm::ivec2, kWide * kWide> waiting_;
+  std::size_t count_ = 0, done_ = 0;
+};
+
+// An edge that leaves a cell goes on in the next one: cells of which the finer ones of this one do
+// not look as they do where they touch.
+static void follow_edges(glm::ivec2 cell, std::uint32_t open, const VisibilityBake::Rows& wide,
+                         CellQueue& queue) {
+  struct Side {
+    int x, y;
+    std::uint32_t touching;  // of the finer cells
+  };
+  constexpr Side kSides[] = {{-1, 0, 0x1111}, {1, 0, 0x8888}, {0, -1, 0x000f}, {0, 1, 0xf000}};
+  for (const Side& side : kSides) {
+    const int x = cell.x + side.x, y = cell.y + side.y;
+    if (x < 0 || x >= kWide || y < 0 || y >= kWide) continue;
+    const bool is_open = (wide[static_cast<std::size_t>(y)] >> x & 1) != 0;
+    if ((open & side.touching) != (is_open ? side.touching : 0)) queue.ask(x, y);
+  }
+}
+
 OpenCells VisibilityBake::refine(std::size_t vertex) {
   const Rows& wide = wide_[vertex];
-  const Rows own = beside_edges(wide), others = edges_of_others(vertex, own);
   const HemiOctFrame frame = HemiOctFrame::of(vertex, mesh_.normals[vertex]);
   const glm::vec3 origin = mesh_.positions[vertex] + kRayNear * mesh_.normals[vertex];
   OpenCells out{};
+  const auto put = [&](int x, int y, std::uint64_t open) {  // rows of four bits
+    std::uint64_t& block = out[static_cast<std::size_t>(kBlocks * (y / 2) + x / 2)];
+    for (int shift = 32 * (y % 2) + 4 * (x % 2); open != 0; open >>= 4, shift += 8)
+      block |= (open & 15) << shift;
+  };
+  CellQueue queue;
+  queue.ask_all(beside_edges(wide));
+  queue.ask_all(edges_of_others(vertex));
   std::uint64_t rays = RayScene::kPacket * kPackets;
-  for (int y = 0; y < kWide; ++y)
-    for (int x = 0; x < kWide; ++x) {
-      std::uint64_t& block = out[static_cast<std::size_t>(kBlocks * (y / 2) + x / 2)];
-      const int shift = 32 * (y % 2) + 4 * (x % 2);
-      const auto row = static_cast<std::size_t>(y);
-      if (((own[row] | others[row]) >> x & 1) == 0) {
-        if (wide[row] >> x & 1) block |= kWideBits << shift;
-        continue;
-      }
-      RayScene::RayPacket packet;
-      for (int i = 0; i < RayScene::kPacket; ++i) {
-        const glm::vec3 d = frame.direction(4 * x + i % 4, 4 * y + i / 4, kFineCells);
-        packet.x[i] = d.x, packet.y[i] = d.y, packet.z[i] = d.z;
-      }
-      std::uint64_t open = ~scene_.occluded(origin, kRayNear, packet) & 0xffffu;
-      for (int down = 0; down < 4; ++down, open >>= 4) block |= (open & 15) << (shift + 8 * down);
-      rays += RayScene::kPacket;
+  while (const auto cell = queue.next()) {
+    RayScene::RayPacket packet;
+    for (int i = 0; i < RayScene::kPacket; ++i) {
+      const glm::vec3 d = frame.direction(4 * cell->x + i % 4, 4 * cell->y + i / 4, kFineCells);
+      packet.x[i] = d.x, packet.y[i] = d.y, packet.z[i] = d.z;
     }
+    const std::uint32_t open = ~scene_.occluded(origin, kRayNear, packet) & 0xffffu;
+    put(cell->x, cell->y, open);
+    follow_edges(*cell, open, wide, queue);
+    rays += RayScene::kPacket;
+  }
+  for (int y = 0; y < kWide; ++y)
+    for (int x = 0; x < kWide; ++x)
+      if (!queue.was_asked(x, y) && (wide[static_cast<std::size_t>(y)] >> x & 1) != 0)
+        put(x, y, 0xffffu);
   rays_ += rays;
   keep(vertex, out);
   return out;
 }
 
-// Of four finer cells the coarse one is that in which its ray lies.
+// A coarse cell is as the last of its four finer ones.
 void VisibilityBake::keep(std::size_t vertex, const OpenCells& open) {
-  const glm::ivec2 within = HemiOctFrame::fine_of_four(vertex);
   for (std::size_t block = 0; block < open.size(); ++block) {
-    const std::uint64_t bits = open[block] >> (8 * within.y + within.x);
+    const std::uint64_t bits = open[block] >> (8 + 1);  // in the second row and column
     std::uint32_t coarse = 0;
     for (int i = 0; i < 16; ++i)
       coarse |= static_cast<std::uint32_t>(bits >> (16 * (i / 4) + 2 * (i % 4)) & 1) << i;

@@ -23,7 +23,7 @@ namespace penumbra::prt {
 namespace {
 
 constexpr int kMaxFrames = 4096;
-constexpr std::uint64_t kBakeVersion = 3;  // changes with what a bake computes
+constexpr std::uint64_t kBakeVersion = 4;  // changes with what a bake computes
 constexpr float kOpenT0 = .28209479f;      // Y_0: of a point that sees all
 constexpr std::uint16_t kHidden = 0x7e00;  // a half that is no number
 

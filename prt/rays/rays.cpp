@@ -218,16 +218,13 @@ void RayScene::intersect(const glm::vec3& origin, float near, RayPacket& p) cons
   }
 }
 
-std::uint32_t RayScene::occluded(const glm::vec3& origin, float near, const RayPacket& p,
-                                 int count) const {
+std::uint32_t RayScene::occluded(const glm::vec3& origin, float near, const RayPacket& p) const {
   RTCIntersectContext context = coherent_context();
   RTCRay16 ray;
   fill(ray, origin, near, p);
-  alignas(64) int active[kPacket];
-  for (int i = 0; i < kPacket; ++i) active[i] = i < count ? -1 : 0;
-  rtcOccluded16(active, impl_->scene, &context, &ray);
+  rtcOccluded16(kAllActive, impl_->scene, &context, &ray);
   std::uint32_t blocked = 0;
-  for (int i = 0; i < count; ++i)
+  for (int i = 0; i < kPacket; ++i)
     if (ray.tfar[i] < 0) blocked |= 1u << i;
   return blocked;
 }

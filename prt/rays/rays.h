@@ -54,9 +54,8 @@ class RayScene {
   static constexpr std::uint32_t kMiss = 0xffffffffu;
   /// Sixteen rays from one origin: nearest hits.
   void intersect(const glm::vec3& origin, float near, RayPacket& packet) const;
-  /// The first `count` rays from one origin: bit i is set when ray i is blocked.
-  std::uint32_t occluded(const glm::vec3& origin, float near, const RayPacket& packet,
-                         int count = kPacket) const;
+  /// Sixteen rays from one origin: bit i is set when ray i is blocked.
+  std::uint32_t occluded(const glm::vec3& origin, float near, const RayPacket& packet) const;
 
  private:
   struct Impl;

@@ -13,14 +13,15 @@ namespace penumbra::prt {
 HemiOctFrame HemiOctFrame::of(std::size_t vertex, const glm::vec3& normal) {
   const RayPatterns::Turn turn = RayPatterns::turn_of(vertex);
   const glm::mat3 frame = frame_around(normal + glm::vec3(0));  // -0 would turn it
+  // Neighbours differ most along a sequence of the plane's golden ratio.
+  constexpr double kFirst = .7548776662466927, kSecond = .5698402909980532;
+  const auto within = [&](double step) {
+    return std::fmod(.5 + step * static_cast<double>(vertex), 1.) < .5 ? .25f : .75f;
+  };
   return {turn.cosine * frame[0] + turn.sine * frame[1],
-          turn.cosine * frame[1] - turn.sine * frame[0], frame[2],
-          .25f + .5f * glm::vec2(fine_of_four(vertex))};
-}
-
-glm::ivec2 HemiOctFrame::fine_of_four(std::size_t vertex) {
-  const int variant = RayPatterns::turn_of(vertex).variant;
-  return {variant & 1, variant >> 1 & 1};
+          turn.cosine * frame[1] - turn.sine * frame[0],
+          frame[2],
+          {within(kFirst), within(kSecond)}};
 }
 
 glm::vec3 HemiOctFrame::direction(int x, int y, int cells) const {

@@ -19,8 +19,7 @@
 namespace penumbra::prt {
 
 /// By vertex a bit for each cell of a square that maps to its hemisphere: whether a ray there meets
-/// nothing of the mesh. Where the vertex or those around it see an edge there are bits of cells
-/// half as wide.
+/// nothing of the mesh. Where it sees an edge there are bits of cells half as wide.
 struct VisibilityMap {
   static constexpr int kCells = 32, kFineCells = 64;  // along a side of the square
   static constexpr int kBlocks = 8;                   // of cells, along a side
@@ -43,18 +42,16 @@ struct VisibilityMap {
   static double blur(int cells) { return std::sqrt(std::numbers::pi / 3) / cells; }
 };
 
-/// Where a vertex's square lies. From one to the next it is turned, and rays of coarse cells go
-/// through another one of their four finer cells' middles.
+/// Where a vertex's square lies. From one to the next it is turned, and rays go through other
+/// places of their cells.
 /// source: hemi-octahedral map, Cigolle, Donow, Evangelakos, Mara, McGuire & Meyer 2014
 struct HemiOctFrame {
   glm::vec3 first, second, normal;
-  glm::vec2 coarse_shift;
 
-  /// Column and row, 0 or 1, of the finer cell through which a coarse cell's ray goes.
-  static glm::ivec2 fine_of_four(std::size_t vertex);
-  /// Of a ray in its cell, 0..1.
+  glm::vec2 fine_shift;  // .25 or .75 each
+  /// Of a ray in its cell, 0..1: a coarse cell's ray is that of the last of its four finer cells.
   glm::vec2 shift(int cells) const {
-    return cells == VisibilityMap::kCells ? coarse_shift : glm::vec2(.5f);
+    return cells == VisibilityMap::kCells ? .5f * (1.f + fine_shift) : fine_shift;
   }
   static HemiOctFrame of(std::size_t vertex, const glm::vec3& normal);
   /// Of the ray in cell (x, y).

@@ -1,6 +1,7 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <cstdio>
 #include <cstdlib>
@@ -32,6 +33,13 @@ BakeOptions settings(int bands, int bounces, int rays, std::optional<Receiver> r
   options.ground_rays = ground_rays;
   options.receiver = receiver;
   return options;
+}
+
+// By rays that the cosine spreads, and by what vertices see: the laws are the same.
+std::array<BakeOptions, 2> both_ways(const BakeOptions& options) {
+  std::array<BakeOptions, 2> out{options, options};
+  out[1].visibility = true;
+  return out;
 }
 
 BakedObject baked(Mesh mesh, const BakeOptions& options) {
@@ -93,9 +101,9 @@ TEST(Bake, WhiteFurnaceOnConvexMeshGivesOne) {
 TEST(Bake, WhiteFurnaceClosesOnAnyShapeAfterManyBounces) {
   // With albedo 1 nothing is lost, so each surface of an open shape glows like the sky; the sampled
   // equations have the same solution, hence no Monte Carlo error.
-  const BakedObject object = baked(grey_knot(1), settings(2, 60, 64));
-  for (const float v : relit(object.transfer, constant_light(kWhite)))
-    ASSERT_NEAR(v, 1, 2 * kHalfStep);
+  for (const BakeOptions& options : both_ways(settings(2, 60, 64)))
+    for (const float v : relit(baked(grey_knot(1), options).transfer, constant_light(kWhite)))
+      ASSERT_NEAR(v, 1, 2 * kHalfStep) << options.visibility;
 }
 
 TEST(Bake, AFewBouncesStandForAll) {
@@ -123,51 +131,59 @@ TEST(Bake, BlackSurfacesReflectNothing) {
 }
 
 TEST(Bake, ColouredAlbedoActsPerChannel) {
-  const BakeOptions options = settings(3, 4, 64);
-  const BakedObject coloured = baked(make_knot(1, 60, 12, {.9f, .5f, 0}), options);
-  ASSERT_EQ(coloured.transfer.channels, 3);
-  int channel = 0;
-  for (const float albedo : {.9f, .5f, 0.f}) {
-    const BakedObject grey = baked(make_knot(1, 60, 12, {albedo, albedo, albedo}), options);
-    ASSERT_EQ(grey.transfer.channels, 1) << "one channel serves all colours of grey";
-    for (int n = 0; n < 9; ++n)
-      for (std::size_t p = 0; p < grey.transfer.points; ++p)
-        ASSERT_EQ(coloured.transfer.value(channel, n, p), grey.transfer.value(0, n, p));
-    ++channel;
+  for (const BakeOptions& options : both_ways(settings(3, 4, 64))) {
+    const BakedObject coloured = baked(make_knot(1, 60, 12, {.9f, .5f, 0}), options);
+    ASSERT_EQ(coloured.transfer.channels, 3);
+    int channel = 0;
+    for (const float albedo : {.9f, .5f, 0.f}) {
+      const BakedObject grey = baked(make_knot(1, 60, 12, {albedo, albedo, albedo}), options);
+      ASSERT_EQ(grey.transfer.channels, 1) << "one channel serves all colours of grey";
+      for (int n = 0; n < 9; ++n)
+        for (std::size_t p = 0; p < grey.transfer.points; ++p)
+          ASSERT_EQ(coloured.transfer.value(channel, n, p), grey.transfer.value(0, n, p));
+      ++channel;
+    }
   }
 }
 
 // ------------------------------------------------------------------------------------- bowl
 
 TEST(Bake, BowlUnderConstantLightGlowsByTheClosedForm) {
-  for (const auto& [cut, rho] : {std::pair{.6f, .8f}, {0.f, .5f}, {.9f, .3f}}) {
-    const Bowl bowl = make_bowl(cut, rho);
-    const BakedObject object = baked(bowl.mesh, settings(1, 20, 1024));
-    const auto e =
-        relit(object.transfer, constant_light(kWhite));  // E/pi; exit radiance is rho times it
-    const double f = bowl.fraction, expected = (1 - f) / (1 - rho * f);
-    double mean = 0;
-    for (std::size_t i = 0; i < e.size(); ++i) {
-      // A vertex has the noise of its own 1024 rays; over the bowl it averages out.
-      ASSERT_NEAR(e[i], expected, .012) << "f " << f << " rho " << rho << " vertex " << i;
-      mean += bowl.vertex_fraction[i] * e[i];
+  for (const auto& [cut, rho] : {std::pair{.6f, .8f}, {0.f, .5f}, {.9f, .3f}})
+    for (const BakeOptions& options : both_ways(settings(1, 20, 1024))) {
+      SCOPED_TRACE(options.visibility);
+      const Bowl bowl = make_bowl(cut, rho);
+      const BakedObject object = baked(bowl.mesh, options);
+      const auto e =
+          relit(object.transfer, constant_light(kWhite));  // E/pi; exit radiance is rho times it
+      const double f = bowl.fraction, expected = (1 - f) / (1 - rho * f);
+      double mean = 0;
+      for (std::size_t i = 0; i < e.size(); ++i) {
+        // A vertex has the noise of its own rays; over the bowl it averages out.
+        ASSERT_NEAR(e[i], expected, .012) << "f " << f << " rho " << rho << " vertex " << i;
+        mean += bowl.vertex_fraction[i] * e[i];
+      }
+      EXPECT_NEAR(mean, expected, .002 * expected) << "f " << f << " rho " << rho;
     }
-    EXPECT_NEAR(mean, expected, .002 * expected) << "f " << f << " rho " << rho;
-  }
 }
 
 TEST(Bake, BowlSpreadsWhatItReflectsEvenlyUnderAnyLight) {
   constexpr float kRho = .7f;
   const Bowl bowl = make_bowl(.3f, kRho);
   const RadianceSh light = test::sloped_light(1, {.5, .6, -.4});
-  const auto direct = relit(baked(bowl.mesh, settings(2, 0, 1024)).transfer, light);
-  const auto all = relit(baked(bowl.mesh, settings(2, 20, 1024)).transfer, light);
-  double mean_direct = 0;
-  for (std::size_t i = 0; i < direct.size(); ++i)
-    mean_direct += bowl.vertex_fraction[i] * direct[i];
-  const double f = bowl.fraction, reflected = kRho * f * mean_direct / (1 - kRho * f);
-  for (std::size_t i = 0; i < direct.size(); ++i)
-    EXPECT_NEAR(all[i] - direct[i], reflected, .02 * reflected) << "vertex " << i;
+  for (const BakeOptions& none : both_ways(settings(2, 0, 1024))) {
+    SCOPED_TRACE(none.visibility);
+    BakeOptions many = none;
+    many.bounces = 20;
+    const auto direct = relit(baked(bowl.mesh, none).transfer, light);
+    const auto all = relit(baked(bowl.mesh, many).transfer, light);
+    double mean_direct = 0;
+    for (std::size_t i = 0; i < direct.size(); ++i)
+      mean_direct += bowl.vertex_fraction[i] * direct[i];
+    const double f = bowl.fraction, reflected = kRho * f * mean_direct / (1 - kRho * f);
+    for (std::size_t i = 0; i < direct.size(); ++i)
+      EXPECT_NEAR(all[i] - direct[i], reflected, .02 * reflected) << "vertex " << i;
+  }
 }
 
 // ------------------------------------------------------------------------------------- receiver
@@ -192,20 +208,35 @@ TEST(Bake, SphereTakesItsClosedFormFromTheFloor) {
 
 TEST(Bake, BlackFloorHidesTheLowerHemisphere) {
   const Mesh sphere = make_sphere({0, 2, 0}, .5f, 2, kBlack);
-  const BakedObject object =
-      baked(sphere, settings(1, 0, 1024, Receiver{fit_ground_grid(sphere, 0, 8), kBlack}));
-  const auto e = relit(object.transfer, constant_light(kWhite));
-  for (std::size_t i = 0; i < e.size(); ++i)
-    EXPECT_NEAR(e[i], (1 + sphere.normals[i].y) / 2, .01) << "vertex " << i;
+  for (const BakeOptions& options :
+       both_ways(settings(1, 0, 1024, Receiver{fit_ground_grid(sphere, 0, 8), kBlack}))) {
+    const auto e = relit(baked(sphere, options).transfer, constant_light(kWhite));
+    for (std::size_t i = 0; i < e.size(); ++i)
+      EXPECT_NEAR(e[i], (1 + sphere.normals[i].y) / 2, .01) << "vertex " << i;
+  }
 }
 
 TEST(Bake, WhiteFurnaceClosesBetweenObjectAndFloor) {
   const Mesh knot = make_knot(1, 60, 12, kWhite);
   const Receiver floor{fit_ground_grid(knot, 0, 24), kWhite};
-  const BakedObject object = baked(knot, settings(1, 60, 64, floor, 64));
-  for (const float v : relit(object.transfer, constant_light(kWhite))) ASSERT_NEAR(v, 1, .005);
-  for (const float v : relit(object.ground_deficit, constant_light(kWhite)))
-    ASSERT_NEAR(v, 0, .005);
+  for (const BakeOptions& options : both_ways(settings(1, 60, 64, floor, 64))) {
+    const BakedObject object = baked(knot, options);
+    for (const float v : relit(object.transfer, constant_light(kWhite))) ASSERT_NEAR(v, 1, .005);
+    for (const float v : relit(object.ground_deficit, constant_light(kWhite)))
+      ASSERT_NEAR(v, 0, .005);
+  }
+}
+
+// What lies below the floor sees nothing, and its cone of rays has no weight there.
+TEST(Bake, WhatLiesBelowTheFloorStaysFinite) {
+  const Mesh sunk = make_box({-.5f, -1, -.5f}, {.5f, -.2f, .5f}, 4, kWhite);
+  const Receiver floor{fit_ground_grid(sunk, 0, 16), kWhite};
+  for (const BakeOptions& options : both_ways(settings(2, 3, 64, floor, 64))) {
+    const BakedObject object = baked(sunk, options);
+    for (const Transfer* t : {&object.transfer, &object.ground_deficit, &object.reflected})
+      for (std::size_t p = 0; p < t->points; ++p)
+        ASSERT_TRUE(std::isfinite(t->value(0, 0, p))) << p;
+  }
 }
 
 // ------------------------------------------------------------------------------------- stability

@@ -268,8 +268,9 @@ void add_demo(CLI::App& app, Action& action) {
       ->capture_default_str();
   app.add_flag(
       "--fine", demo_options.fine,
-      "Bake as the other commands do, at four times as many vertices, with 1024 rays per vertex "
-      "instead of 256 and with visibility maps; --live bakes coarse vertices with those rays");
+      "Bake as the other commands do, at four times as many vertices, with visibility maps and "
+      "1024 "
+      "rays per texel of the floor instead of 256; --live bakes coarse vertices like that");
   add_json(&app, demo_options.json);
   action = [] { return demo(demo_options); };
 }

@@ -12,21 +12,22 @@
 
 namespace penumbra::prt {
 
-/// Integrals of Y_n cos/pi over the cells of a hemi-octahedral square (HemiOctFrame), whose normal
-/// is +z: exact for any part of it that cells make up, whatever their size.
+/// Integrals of Y_n cos/pi over the cells of a hemi-octahedral square (HemiOctFrame) around their
+/// rays, whose normal is +z; by the midpoint rule with sixteen places a cell.
 class HemiOctSums {
  public:
   explicit HemiOctSums(int bands);
 
   /// Of a wide cell (VisibilityBake), the fraction of an unoccluded hemisphere's cosine.
-  float wide_weight(int x, int y) const;
+  float wide_weight(int x, int y) const {
+    return wide_[static_cast<std::size_t>(VisibilityBake::kWideCells * y + x)];
+  }
 
   struct Blocked {
-    /// Fraction of the cosine that is blocked, by halves of the finer cells as on a chessboard.
-    float white = 0, black = 0;
-    float all() const { return white + black; }
-    /// From what the halves differ by; an upper bound, since together they lie closer.
-    float standard_error() const { return std::abs(white - black); }
+    float fraction = 0;  // of the cosine
+    /// From what halves of the finer cells differ by, as on a chessboard. What hides from all rays of
+    /// a wide cell is not in it.
+    float standard_error = 0;
   };
   /// What is not open, and where `below` all that lies below the receiver's plane; coefficients in
   /// the axes of `frame`'s vectors.
@@ -34,14 +35,22 @@ class HemiOctSums {
                       std::span<float> coefficients) const;
 
  private:
-  OpenCells cells_below(const HemiOctFrame& frame) const;
+  // Of rays that go through one place of their cells.
+  struct Tables {
+    std::vector<float> fine, cells, blocks;  // [cell, row by row][n]
+    std::vector<float> x, y, z;              // of finer cells' rays, not unit
+  };
+  static std::size_t which(glm::vec2 fine_shift) {
+    return (fine_shift.x > .5f ? 1u : 0u) + (fine_shift.y > .5f ? 2u : 0u);
+  }
+  static OpenCells cells_below(const Tables& tables, const HemiOctFrame& frame);
   void add(const std::vector<float>& table, std::size_t cell, std::span<float> sum) const;
   float weight(const std::vector<float>& table, std::size_t cell) const;
 
   int bands_;
   std::size_t terms_;
-  std::vector<float> fine_, cells_, blocks_;  // [cell, row by row][n]
-  std::vector<float> x_, y_, z_;              // directions of finer cells' middles, not unit
+  std::array<Tables, 4> tables_;
+  std::array<float, VisibilityBake::kWideCells * VisibilityBake::kWideCells> wide_{};
 };
 
 }  // namespace penumbra::prt

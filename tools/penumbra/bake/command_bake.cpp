@@ -117,7 +117,7 @@ void add_bake(CLI::App& parent, Action& action) {
   c->add_option(
        "--samples", bake_options.samples,
        "Number of rays per vertex and texel of the floor, a multiple of 64; a still object's "
-       "vertices send as many as their edges need, more only above 4096")
+       "vertices send as many as their edges need up to 4096")
       ->capture_default_str();
   c->add_option("--max-vertices", bake_options.max_vertices,
                 "Number of vertices from which on a mesh is simplified")
