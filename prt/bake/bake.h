@@ -59,8 +59,8 @@ struct BakeReport {
   std::uint64_t rays = 0;
   double seconds = 0;
   /// RMS over vertices of the standard error of t_0 relative to the mean t_0, from the spread of
-  /// four quarters of the rays, or two halves of a visibility map's cells. Together they lie closer,
-  /// but what hides from all rays of a wide cell is not in it.
+  /// four quarters of the rays, or two halves of a visibility map's cells. Together they lie
+  /// closer, but what hides from all rays of a wide cell is not in it.
   double standard_error = 0;
   std::vector<PointQuality> quality;  // by vertex
 };

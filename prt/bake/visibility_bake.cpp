@@ -136,16 +136,16 @@ class CellQueue {
 // not look as they do where they touch.
 static void follow_edges(glm::ivec2 cell, std::uint32_t open, const VisibilityBake::Rows& wide,
                          CellQueue& queue) {
-  struct Side {
+  struct NextCell {
     int x, y;
     std::uint32_t touching;  // of the finer cells
   };
-  constexpr Side kSides[] = {{-1, 0, 0x1111}, {1, 0, 0x8888}, {0, -1, 0x000f}, {0, 1, 0xf000}};
-  for (const Side& side : kSides) {
-    const int x = cell.x + side.x, y = cell.y + side.y;
+  constexpr NextCell kNext[] = {{-1, 0, 0x1111}, {1, 0, 0x8888}, {0, -1, 0x000f}, {0, 1, 0xf000}};
+  for (const NextCell& next : kNext) {
+    const int x = cell.x + next.x, y = cell.y + next.y;
     if (x < 0 || x >= kWide || y < 0 || y >= kWide) continue;
     const bool is_open = (wide[static_cast<std::size_t>(y)] >> x & 1) != 0;
-    if ((open & side.touching) != (is_open ? side.touching : 0)) queue.ask(x, y);
+    if ((open & next.touching) != (is_open ? next.touching : 0)) queue.ask(x, y);
   }
 }
 

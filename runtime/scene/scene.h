@@ -90,8 +90,8 @@ enum class BakeCache {
 struct BakeSettings {
   /// Rays of vertices count where `visibility` is not kept: of characters and real things.
   int bands = 5, bounces = 4, rays = 1024, ground_rays = 1024;
-  /// Whether still objects keep what their vertices see: lamps are then looked up instead of traced,
-  /// and transfer comes from it.
+  /// Whether still objects keep what their vertices see: lamps are then looked up instead of
+  /// traced, and transfer comes from it.
   bool visibility = true;
   BakeCache cache = BakeCache::kUsed;
   /// Longest edge of still objects after subdivision, as a fraction of the bounding radius: one in

@@ -25,8 +25,8 @@ class HemiOctSums {
 
   struct Blocked {
     float fraction = 0;  // of the cosine
-    /// From what halves of the finer cells differ by, as on a chessboard. What hides from all rays of
-    /// a wide cell is not in it.
+    /// From what halves of the finer cells differ by, as on a chessboard. What hides from all rays
+    /// of a wide cell is not in it.
     float standard_error = 0;
   };
   /// What is not open, and where `below` all that lies below the receiver's plane; coefficients in

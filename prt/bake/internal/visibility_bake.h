@@ -17,9 +17,9 @@ namespace penumbra::prt {
 using OpenCells = std::array<std::uint64_t, VisibilityMap::kBlocks * VisibilityMap::kBlocks>;
 
 /// Two passes, each over all vertices: one ray for each of 256 wide cells, then one for each of the
-/// sixteen finer ones of those in which an edge may be. Those beside an edge are asked, and those in
-/// which a vertex around sees one: what is thin hides between the wide rays of one vertex, not of
-/// all around it. From there edges are followed from cell to cell.
+/// sixteen finer ones of those in which an edge may be. Those beside an edge are asked, and those
+/// in which a vertex around sees one: what is thin hides between the wide rays of one vertex, not
+/// of all around it. From there edges are followed from cell to cell.
 class VisibilityBake {
  public:
   static constexpr int kWideCells = 16;                                         // along a side
