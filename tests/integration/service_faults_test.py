@@ -277,7 +277,8 @@ class Faults(CliTest):
         threads, opened, resident = zip(*sizes)
         self.assertLessEqual(max(threads) - min(threads), 8)
         self.assertLessEqual(opened[-1], opened[0] + 4)
-        self.assertLess(resident[-1], 1.1 * resident[0] + 8000, f"{resident} kB")
+        # On a busy machine a round may find what the one before has freed, and seem to take less.
+        self.assertLess(resident[-1], 1.1 * max(resident[:2]) + 8000, f"{resident} kB")
 
 
 if __name__ == "__main__":
