@@ -50,7 +50,8 @@ void Baker::add_receiver_points(const GroundGrid& grid) {
 // Rays into a narrow cone have little weight each: fewer of them find the floor's light as exactly.
 int Baker::ground_rays_at(const glm::vec3& position) const {
   const float distance = glm::length(position);
-  if (distance <= kConeFrom) return options_.ground_rays;
+  // In a clip as many in all frames: changes of number would flicker.
+  if (distance <= kConeFrom || !options_.ray_frames.empty()) return options_.ground_rays;
   const float of_hemisphere = 1 - std::sqrt(1 - 1 / (distance * distance));
   const int quarters = of_hemisphere > .25f ? 4 : of_hemisphere > .1f ? 2 : 1;
   return std::max(64, options_.ground_rays * quarters / 4 / 64 * 64);
@@ -480,6 +481,8 @@ Result<BakedObject> bake(Mesh mesh, const BakeOptions& o) {
                 fmt::format("{} is not within 1..{}", o.reflected_bands, kMaxBands));
   if (!o.ray_frames.empty() && o.ray_frames.size() != mesh.positions.size())
     return fail(ErrorCode::kInvalid, "ray frames", "are not as many as the vertices");
+  if (!o.ray_frames.empty() && o.visibility)
+    return fail(ErrorCode::kInvalid, "ray frames", "do not turn a visibility map's rays");
   if (o.bounces < 0 || o.bounces > kMaxBounces)
     return fail(ErrorCode::kInvalid, "bounces",
                 fmt::format("{} is not within 0..{}", o.bounces, kMaxBounces));

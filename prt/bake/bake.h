@@ -33,7 +33,8 @@ struct BakeOptions {
   /// Per vertex, a multiple of 64. With `visibility` vertices send as many as their edges need, and
   /// this counts only above 4,096.
   int rays = 1024;
-  int ground_rays = 1024;   // per receiver texel, a multiple of 64; where it sees little, fewer
+  /// Per receiver texel, a multiple of 64; fewer where it sees little, but with `ray_frames`.
+  int ground_rays = 1024;
   bool visibility = false;  // whether to find BakedObject::visibility
   std::optional<Receiver> receiver;
   /// Keeps what the receiver reflects apart (BakedObject::floor), so that it can get any albedo
@@ -43,7 +44,7 @@ struct BakeOptions {
   int reflected_bands = kReflectedBands;
   /// One a vertex, or none: axes with the normal as the third, in which its rays keep their places.
   /// Turned with the material they give what only turns the same transfer in all poses, but for
-  /// single rays that graze an edge.
+  /// single rays that graze an edge. Not with `visibility`.
   std::span<const glm::mat3> ray_frames{};
   std::function<void(double done)> progress;  // 0..1, called from worker threads, serialised
 };
@@ -101,7 +102,7 @@ BakedObject on_floor(const BakedObject& baked, const Rgb& albedo);
 
 /// Precomputes transfer at every vertex, and at the texels of the receiver with the object in
 /// place.
-/// errors:  kInvalid (options), kUnavailable (Embree)
+/// errors:  kInvalid (options), kNonFinite (the mesh), kUnavailable (Embree)
 /// source:  Sloan, Kautz & Snyder 2002;
 ///          t = A_l Y_n/pi - (1/N) sum_blocked Y_n(d_i), d_i by the cosine, or with `visibility`
 ///          - sum_blocked of its cells' integrals (convex shapes come out exact);

@@ -11,6 +11,7 @@
 
 #include "lighting/lighting.h"
 #include "prt/prt.h"
+#include "prt/rays/ray_pattern.h"
 #include "tests/prt/bowl.h"
 #include "tests/support/lights.h"
 
@@ -353,7 +354,30 @@ TEST(Bake, RefusesWhatItCannotBake) {
     EXPECT_EQ(code(box, settings(3, 0, 64, {}, rays)), ErrorCode::kInvalid) << rays;
   }
   EXPECT_EQ(code(box, settings(3, -1, 64)), ErrorCode::kInvalid);
+  const std::vector<glm::mat3> frames(box.positions.size(), glm::mat3(1));
+  BakeOptions turned = settings(3, 0, 64);
+  turned.ray_frames = frames;
+  EXPECT_EQ(code(box, turned), std::nullopt);
+  turned.visibility = true;
+  EXPECT_EQ(code(box, turned), ErrorCode::kInvalid) << "its rays have frames of their own";
   EXPECT_EQ(code(box, settings(kMaxBands, 0, 64)), std::nullopt);
+}
+
+// Not so in clips, where a texel whose number changes would flicker.
+TEST(Bake, TexelsThatSeeLittleSendFewerRays) {
+  const Mesh knot = make_knot(1, 60, 12, kWhite);
+  constexpr int kTexels = 16 * 16, kRays = 1024;
+  BakeOptions options = settings(1, 0, 64, Receiver{fit_ground_grid(knot, 0, 16), kBlack}, kRays);
+  const std::uint64_t all = 64 * knot.positions.size() + std::uint64_t{kTexels} * kRays;
+  const BakedObject few = baked(knot, options);
+  EXPECT_LT(few.report.rays, all - kTexels * kRays / 3);
+  std::vector<glm::mat3> frames;
+  for (const glm::vec3& n : knot.normals) frames.push_back(frame_around(n));
+  options.ray_frames = frames;
+  const BakedObject many = baked(knot, options);
+  EXPECT_EQ(many.report.rays, all);
+  for (std::size_t p = 0; p < kTexels; ++p)
+    EXPECT_NEAR(few.ground_deficit.value(0, 0, p), many.ground_deficit.value(0, 0, p), .002) << p;
 }
 
 TEST(BakeDeathTest, RefusesAnImpossibleReceiver) {
