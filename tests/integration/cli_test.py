@@ -339,6 +339,8 @@ class Bake(CliTest):
             self.assertEqual(list(self.root.glob("bad*")), [])
         self.expect_refusal(["shard-1-of-2"], *self.bake_clip("none.shlm", "--merge", 2))
 
+
+class Charts(CliTest):
     def test_coders_of_a_clip_are_charted(self):
         out = self.root / "clip"
         chart = self.run_json("chart", "--animation", "Walk", "--frames", 6, "--samples", 64, "--light-map", "48x48",
