@@ -11,7 +11,6 @@
 #include <tuple>
 #include <utility>
 
-#include "core/half.h"
 #include "core/threads/parallel.h"
 #include "lighting/sh/basis.h"
 #include "lighting/sh/irradiance.h"
@@ -428,8 +427,7 @@ Result<BakedObject> Baker::run(Mesh mesh) {
 
   std::vector<PointResult> results(points_.size());
   const std::uint64_t rays = trace_all(scene, results);
-  far_ = ground_far_;
-  bounce_all(results, options_.bounces, options_.floor_apart ? .05 : .1);
+  bounce_all(results, options_.bounces, ground_far_, options_.floor_apart ? .05 : .1);
   BakedObject out;
   const std::size_t vertices = mesh_.positions.size();
   out.transfer = packed_vertices();

@@ -264,7 +264,7 @@ class Faults(CliTest):
         settled = lambda: "preparing" not in daemon.health()  # noqa: E731
         self.wait_for(daemon, "never baked", settled)
         sizes = []
-        for i in range(7):
+        for i in range(8):
             status, body = daemon.ask("/v1/objects", "POST", {"name": "more", "asset": "builtin:box", "size_m": .2,
                                                               "position_m": [-.4, 0, 0]})
             self.assertEqual(status, 202, body)
@@ -272,13 +272,12 @@ class Faults(CliTest):
             self.wait_for(daemon, "not there", lambda: "more" in objects())
             self.assertEqual(daemon.ask("/v1/objects/more", "DELETE")[0], 200)
             self.wait_for(daemon, "still there", lambda: "more" not in objects() and settled())
-            if i >= 2:
+            if i >= 3:  # on a busy machine the level comes late
                 sizes.append(self.settled_counts(daemon))
         threads, opened, resident = zip(*sizes)
         self.assertLessEqual(max(threads) - min(threads), 8)
         self.assertLessEqual(opened[-1], opened[0] + 4)
-        # On a busy machine a round may find what the one before has freed, and seem to take less.
-        self.assertLess(resident[-1], 1.1 * max(resident[:2]) + 8000, f"{resident} kB")
+        self.assertLess(resident[-1], 1.1 * resident[0] + 8000, f"{resident} kB")
 
 
 if __name__ == "__main__":

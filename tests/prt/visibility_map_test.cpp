@@ -85,9 +85,8 @@ TEST(VisibilityMap, AlongItsRaysALookUpIsTheRay) {
       different += std::abs(looked[v].seen - seen[v]) > 1e-4f;
       dark += seen[v] < .5f * open[v];
     }
-    // Away from edges cells are not traced one by one, and rays along an edge may go either way in
-    // a mesh of another scale: of 8 or 16 rays each.
-    EXPECT_LE(different, seen.size() / 25);
+    // Rays along an edge may go either way in a mesh of another scale.
+    EXPECT_LE(different, seen.size() / 200);
     EXPECT_GT(dark, seen.size() / 10);
   }
 }

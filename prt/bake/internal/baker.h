@@ -87,8 +87,9 @@ class Baker {
                              float choice) const;
   std::uint32_t ground_mask(const RayScene::RayPacket& packet) const;
   void start_transfer(std::size_t index, const PointResult& result);
-  void bounce(std::size_t index, const std::vector<BounceHit>& hits);
-  void bounce_all(const std::vector<PointResult>& results, int bounces, double progress);
+  void bounce(std::size_t index, const std::vector<BounceHit>& hits, std::span<const float> far);
+  void bounce_all(const std::vector<PointResult>& results, int bounces, std::span<const float> far,
+                  double progress);
   void gather_from_floor(const std::vector<PointResult>& results, std::span<const float> far);
   void bake_floor(const std::vector<PointResult>& results, BakedObject& out);
   std::array<double, 3> sum_of_constants(const std::vector<float>& transfer) const;
@@ -123,7 +124,6 @@ class Baker {
   std::vector<float> shadowed_, current_;  // [point][channel][n]
   std::vector<float> added_, next_;        // by the last bounce, by the next one
   std::vector<float> ground_far_;          // transfer of an unshadowed receiver, per n
-  std::vector<float> far_;                 // of what bounces, beyond the receiver's grid
   VisibilityMap visibility_;
   std::mutex progress_mutex_;
   double progress_ = 0;
