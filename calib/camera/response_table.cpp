@@ -1,6 +1,5 @@
 #include "calib/camera/response_table.h"
 
-#include <algorithm>
 #include <bit>
 #include <cmath>
 #include <cstdint>
@@ -15,30 +14,44 @@ constexpr float kFaintest = 0x1p-40f;
 const std::uint32_t kFirstBits = std::bit_cast<std::uint32_t>(kFaintest) >> kShift;
 const std::uint32_t kLastBits = std::bit_cast<std::uint32_t>(1.f) >> kShift;
 
-// Fractional code of a linear value by inverting the table with linear interpolation.
-float invert(const std::vector<float>& decode, float linear) {
-  const auto above = std::ranges::lower_bound(decode, linear);
-  if (above == decode.begin()) return 0;
-  if (above == decode.end()) return static_cast<float>(decode.size() - 1);
-  const float high = *above, low = *(above - 1);
-  const float within = high > low ? (linear - low) / (high - low) : 1;
-  return static_cast<float>(above - decode.begin() - 1) + within;
-}
+// Fractional codes of linear values by inverting the table with linear interpolation; of values that
+// rise, so that the table is walked through once.
+class RisingCodes {
+ public:
+  explicit RisingCodes(const std::vector<float>& decode)
+      : decode_(decode), above_(decode.begin()) {}
+  float operator()(float linear) {
+    while (above_ != decode_.end() && *above_ < linear) ++above_;
+    if (above_ == decode_.begin()) return 0;
+    if (above_ == decode_.end()) return static_cast<float>(decode_.size() - 1);
+    const float high = *above_, low = *(above_ - 1);
+    const float within = high > low ? (linear - low) / (high - low) : 1;
+    return static_cast<float>(above_ - decode_.begin() - 1) + within;
+  }
+
+ private:
+  const std::vector<float>& decode_;
+  // The first value that is not below the last one asked for.
+  std::vector<float>::const_iterator above_;
+};
 
 }  // namespace
 
 ResponseTable::ResponseTable(const std::array<std::vector<float>, 3>& decode, float black_level)
     : black_(black_level), decode_(decode) {
   for (std::size_t c = 0; c < 3; ++c) {
+    RisingCodes edges(decode[c]);
+    encode_[c].reserve(kLastBits - kFirstBits + 2);
     for (std::uint32_t bits = kFirstBits; bits <= kLastBits + 1; ++bits)
-      encode_[c].push_back(invert(decode[c], std::bit_cast<float>(bits << kShift)));
+      encode_[c].push_back(edges(std::bit_cast<float>(bits << kShift)));
     if (decode[c].size() == 256) {
       const std::uint32_t last = std::bit_cast<std::uint32_t>(1.f) >> kShift8;
+      RisingCodes middles(decode[c]);
       encode8_[c].resize(last - kFirst8);
       for (std::uint32_t i = 0; i < last - kFirst8; ++i) {
         const float middle =
             std::bit_cast<float>(((kFirst8 + i) << kShift8) | (1u << (kShift8 - 1)));
-        encode8_[c][i] = static_cast<std::uint8_t>(invert(decode[c], middle) + .5f);
+        encode8_[c][i] = static_cast<std::uint8_t>(middles(middle) + .5f);
       }
     }
     for (float& v : decode_[c]) v -= black_level;
