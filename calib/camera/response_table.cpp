@@ -14,8 +14,8 @@ constexpr float kFaintest = 0x1p-40f;
 const std::uint32_t kFirstBits = std::bit_cast<std::uint32_t>(kFaintest) >> kShift;
 const std::uint32_t kLastBits = std::bit_cast<std::uint32_t>(1.f) >> kShift;
 
-// Fractional codes of linear values by inverting the table with linear interpolation; of values that
-// rise, so that the table is walked through once.
+// Fractional codes of linear values by inverting the table with linear interpolation; of values
+// that rise, so that the table is walked through once.
 class RisingCodes {
  public:
   explicit RisingCodes(const std::vector<float>& decode)
