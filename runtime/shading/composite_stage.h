@@ -5,6 +5,8 @@
 
 #include <array>
 #include <functional>
+#include <glm/mat3x3.hpp>
+#include <glm/vec3.hpp>
 #include <memory>
 #include <memory_resource>
 #include <optional>
@@ -201,7 +203,8 @@ class CompositeStage {
   struct FloorShadow {
     const shadows::PlanarShadow* shadow;
     const prt::GroundGrid* grid;
-    Pose bake_from_world;
+    glm::dmat3 turn;  // and shift: the bake frame from the world's
+    glm::dvec3 shift;
     float of_open;  // as Compositor::set_light
     bool real = false;
     // Of the object that is looked from: what its bake counts on

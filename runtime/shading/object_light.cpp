@@ -106,14 +106,20 @@ RadianceSh CompositeStage::with_real_things(const RadianceSh& light, std::size_t
 // count once.
 void CompositeStage::find_floor_shadows(std::size_t index, const std::vector<Pose>& poses,
                                         std::pmr::vector<FloorShadow>& out) const {
+  const auto add = [&](const shadows::PlanarShadow* shadow, const prt::BakedObject& baked,
+                       const Pose& bake_from_world, float of_open, bool real,
+                       const shadows::PlanarShadow* counted) {
+    out.push_back({shadow, &baked.receiver->grid, bake_from_world.rotation_matrix(),
+                   bake_from_world.translation, of_open, real, counted});
+  };
   if (real_.any() && real_.shadow() && scene_.real->baked.receiver)
-    out.push_back({real_.shadow(), &scene_.real->baked.receiver->grid,
-                   scene_.real->world_from_bake.inverse(), 1, true});
+    add(real_.shadow(), scene_.real->baked, scene_.real->world_from_bake.inverse(), 1, true,
+        nullptr);
   for (std::size_t k = 0; k < objects_.size(); ++k) {
     const StageObject& o = objects_[k];
     if (o.prepared->baked.receiver && !o.shadow.ratio.empty())
-      out.push_back({&o.shown(), &o.prepared->baked.receiver->grid, poses[k].inverse(),
-                     luminance(o.of_open), false, k == index ? &o.shadow : nullptr});
+      add(&o.shown(), o.prepared->baked, poses[k].inverse(), luminance(o.of_open), false,
+          k == index ? &o.shadow : nullptr);
   }
 }
 
@@ -126,10 +132,13 @@ CompositeStage::FloorLight CompositeStage::floor_at(const glm::vec3& point,
   FloorLight out{local, open};
   float virtual_occlusion = 0;  // by objects
   for (const FloorShadow& s : floor_shadows) {
-    const glm::dvec3 p = s.bake_from_world * glm::dvec3(point);
+    const glm::dvec3 p = s.turn * glm::dvec3(point) + s.shift;
     if (std::abs(p.y - double(s.grid->height)) > kOnPlane_m) continue;
+    const auto texel = shadows::texel_at(*s.grid, {p.x, p.z});
+    if (!texel) continue;
     const auto taken_by = [&](const shadows::PlanarShadow& shadow) {
-      return s.of_open * (1 - luminance(shadows::ratio_at(shadow, *s.grid, {p.x, p.z}))) * all;
+      if (shadow.empty()) return 0.f;
+      return s.of_open * (1 - luminance(shadow.ratio.at(texel->x, texel->y))) * all;
     };
     if (s.real)
       out.left -= taken_by(*s.shadow);
