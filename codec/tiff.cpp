@@ -216,7 +216,8 @@ Result<FramePixels> read_as_rgba(TIFF* tiff, const TiffLayout& in, const TiffMem
                                  const std::string& name) {
   std::array<char, 1024> why{};
   if (!TIFFRGBAImageOK(tiff, why.data()))
-    return fail(ErrorCode::kUnreadable, name, std::string("is no picture for us: ") + why.data());
+    return fail(ErrorCode::kUnreadable, name,
+                std::string("cannot be read as a picture: ") + why.data());
   std::uint16_t orientation = ORIENTATION_TOPLEFT;
   TIFFGetFieldDefaulted(tiff, TIFFTAG_ORIENTATION, &orientation);
   std::vector<std::uint32_t> raster(static_cast<std::size_t>(in.width) *

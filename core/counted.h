@@ -6,6 +6,7 @@
 
 #include <string>
 
+#pragma GCC visibility push(default)
 namespace penumbra {
 
 /// "1 light", "2 lights".
@@ -14,3 +15,4 @@ std::string counted(auto number, const char* thing) {
 }
 
 }  // namespace penumbra
+#pragma GCC visibility pop

@@ -265,7 +265,7 @@ Result<void> LightEstimator::estimate(const Environment& whole_map, LightEstimat
   const auto projection = without_lights ? measure_whole(environment) : measure_split(environment);
   // The whole map names its own pixel.
   if (!projection && blocks) PENUMBRA_TRY(project_latlong(whole_map.radiance, 1));
-  if (!projection) return std::unexpected(projection.error());
+  PENUMBRA_TRY(projection);
   make_estimate(*projection, plan_ ? plan_->bands : options_.bands, extraction_.lights, out);
   out.plan = plan_;
   if (out.plan && inpainting_)

@@ -4,7 +4,7 @@
 usage: names_test.py ROOT
 
 No two product files define a type of the same name. Nested types count, `struct X::Impl` does not.
-No two test programs have a suite of the same name.
+No two test programs have a suite of the same name. Constants that bound something are kMax or kMin.
 Each table of TOML keys or JSON names in docs/reference/ holds what the code of that very table
 reads or writes, and nothing else. docs/accuracy.csv has the columns of the chart. Every check first
 runs on made-up faults: one that sees nothing cannot pass.
@@ -23,6 +23,7 @@ TYPE = re.compile(r"^[ \t]*(?:struct|class|enum class|enum)\s+(?:alignas\(\d+\)\
                   r"(?:final\s*)?(?::[^;{:][^;{]*)?\{", re.MULTILINE)
 SUITE = re.compile(r"^(?:TYPED_)?TEST(?:_F|_P)?\((\w+),", re.MULTILINE)
 ALIAS = re.compile(r"^[ \t]*using ([A-Z]\w*) =\s*([^;]*);", re.MULTILINE)
+OLD_BOUND = re.compile(r"\bk(?:Most|Least|Maximum|Minimum)[A-Z]\w*")
 WORD = re.compile(r"`(\w+)`")
 # constexpr std::string_view known[] = {"version", "camera"};
 KEY_LIST = re.compile(r'string_view(?:,\s*\d+>)?\s+(known|inside|\w*[kK]eys)(?:\[\d*\])?\s*=?\s*'
@@ -176,6 +177,12 @@ def shared_suites(tests):
             owners[suite].add(path.rsplit("/", 1)[0])
     return [f"suite {name}: in {', '.join(sorted(folders))}"
             for name, folders in sorted(owners.items()) if len(folders) > 1]
+
+
+def old_bounds(files):
+    """Constants that bound something and are not named kMax... or kMin...."""
+    return [f"{path}: {name}: kMax or kMin"
+            for path, text in files.items() for name in sorted(set(OLD_BOUND.findall(NOISE.sub("", text))))]
 
 
 # ---- Names in C++. ----
@@ -431,9 +438,11 @@ def self_test():
     alias = {"core/a.h": "struct A {\n};\n", "prt/b.cpp": "using A = std::array<float, 3>;\n"}
     suites = {"tests/a/x.cpp": "TEST(Part, One) {", "tests/a/y.cpp": "TEST_F(Part, Two) {",
               "tests/b/x.cpp": "TEST_P(Other, One) {"}
-    right = [doubles(apart), shared_suites(suites), *right_names()]
+    bound = {"core/a.h": "// kMostOld\nconstexpr int kMaxNew = 1, kAlmostAll = 2;\n"}
+    right = [doubles(apart), shared_suites(suites), old_bounds(bound), *right_names()]
+    bound["core/a.h"] += "constexpr int kMostOld = 3;\n"
     suites |= {"tests/b/y.cpp": "TEST_F(Part, One) {"}
-    wrong = [doubles(same), doubles(alias), shared_suites(suites), *wrong_made_up_names()]
+    wrong = [doubles(same), doubles(alias), shared_suites(suites), old_bounds(bound), *wrong_made_up_names()]
     out = [f"right case {i}: {lines}" for i, lines in enumerate(right) if lines]
     out += [f"wrong case {i}: {lines}" for i, lines in enumerate(wrong) if len(lines) != 1]
     return [f"self-test: {line}" for line in out]
@@ -449,7 +458,7 @@ def main(arguments):
                 for path in sorted((root / folder).rglob("*")) if path.suffix in kinds}
     sources = {path: text for room in ROOMS for path, text in texts(room, ".cpp", ".h").items()}
     pages = {path.removeprefix(REFERENCE): text for path, text in texts(REFERENCE, ".md").items()}
-    faults = self_test() + doubles(sources) + shared_suites(texts("tests", ".cpp"))
+    faults = self_test() + doubles(sources) + old_bounds(sources) + shared_suites(texts("tests", ".cpp"))
     faults += unless_moved(wrong_names, sources, pages, TABLES)
     faults += unless_moved(unmentioned, sources, pages, MENTIONED)
     with (root / "docs" / "accuracy.csv").open(encoding="utf-8") as table:

@@ -2,13 +2,13 @@
 """Counts the tests that passed and failed, and names those that were skipped; fails when one was
 skipped for an unexpected reason.
 
-usage: report.py EXPECTED_SKIPS CTEST_OUTPUT LAST_TEST_LOG SHARED_DATA_FOLDER
+usage: report.py [--all] EXPECTED_SKIPS CTEST_OUTPUT LAST_TEST_LOG SHARED_DATA_FOLDER
        report.py EXPECTED_SKIPS GTEST_OUTPUT SHARED_DATA_FOLDER
 
 CTest's output tells how tests ended, its log what they printed: one of them may be a suite of
 GoogleTest, whose cases are counted; the last line is "N passed, N failed". A GoogleTest program's own
 brief output tells skipped tests alone. Expected reasons that end in "without the shared data" count
-only where that folder is absent.
+only where that folder is absent, those that end in "without --all" only where that is not given.
 """
 import re
 import sys
@@ -66,11 +66,12 @@ def skipped_in_program(printed):
     return [(match["where"], match["why"].strip()) for match in GTEST.finditer(printed)]
 
 
-def expected(text, with_shared_data):
+def expected(text, with_shared_data, with_all_packages=False):
     for line in text.splitlines():
         if line.strip() and not line.startswith("#"):
             reason, when = line.rsplit(" : ", 1)
-            if not (with_shared_data and when.startswith("without the shared data")):
+            if not (with_shared_data and when.startswith("without the shared data")
+                    or with_all_packages and when.startswith("without --all")):
                 yield re.compile(reason)
 
 
@@ -96,14 +97,17 @@ def self_test():
     known = "a reason : without the shared data; x\n"
     if list(expected(known, True)) or not list(expected(known, False)):
         return "self-test: does not tell when a reason counts"
+    known = "a reason : without --all, x\n"
+    if list(expected(known, True, True)) or not list(expected(known, True, False)):
+        return "self-test: does not tell with which packages a reason counts"
     return None
 
 
-def main(list_file, *files, shared):
+def main(list_file, *files, shared, with_all_packages):
     if fault := self_test():
         print(fault, file=sys.stderr)
         return 1
-    allowed = list(expected(Path(list_file).read_text(encoding="utf-8"), Path(shared).is_dir()))
+    allowed = list(expected(Path(list_file).read_text(encoding="utf-8"), Path(shared).is_dir(), with_all_packages))
     read = [Path(f).read_text(encoding="utf-8", errors="replace") for f in files]
     counts, skips = read_run(*read) if len(read) == 2 else (None, skipped_in_program(*read))
     for reason, count in Counter(reason for _, reason in skips).most_common():
@@ -120,6 +124,7 @@ def main(list_file, *files, shared):
 
 
 if __name__ == "__main__":
-    if len(sys.argv) not in (4, 5):
+    given = [argument for argument in sys.argv[1:] if argument != "--all"]
+    if len(given) not in (3, 4):
         sys.exit(__doc__)
-    sys.exit(main(*sys.argv[1:-1], shared=sys.argv[-1]))
+    sys.exit(main(*given[:-1], shared=given[-1], with_all_packages="--all" in sys.argv))

@@ -19,7 +19,7 @@ class YamlTree {
   // An alias stands for all that it names, so values are counted as they are written out.
   Result<json> tree(const YAML::Node& node, int depth) {
     if (depth > kDeepestImport) return fail(ErrorCode::kUnreadable, where_, "is nested too deeply");
-    if (++values_ > kMostImportValues)
+    if (++values_ > kMaxImportValues)
       return fail(ErrorCode::kUnreadable, where_, "has too many values");
     switch (node.Type()) {
       case YAML::NodeType::Scalar:

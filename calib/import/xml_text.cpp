@@ -106,7 +106,7 @@ class StorageXml {
   // Up to the closing tag: a table, a list of <_>, or text.
   Result<json> content(const Tag& tag, int depth) {
     if (depth > kDeepestImport) return damaged("is nested too deeply");
-    if (++values_ > kMostImportValues) return damaged("has too many values");
+    if (++values_ > kMaxImportValues) return damaged("has too many values");
     if (tag.closed) return json();
     json out;
     std::string text;

@@ -51,9 +51,9 @@ class BoxWriter {
   std::vector<unsigned char> out_;
 };
 
-using Projection = std::optional<EnvironmentAttribute>;
+using StoredProjection = std::optional<EnvironmentAttribute>;
 
-std::vector<unsigned char> scale_content(const LightScale& scale, Projection environment,
+std::vector<unsigned char> scale_content(const LightScale& scale, StoredProjection environment,
                                          Bytes codestream, std::size_t padding) {
   BoxWriter w;
   w.bytes(kScaleId);
@@ -88,7 +88,7 @@ std::vector<unsigned char> header_content(int width, int height) {
 struct StillTask {
   const Image<Rgb>& radiance;
   WaveletCoder coder;
-  Projection environment;
+  StoredProjection environment;
 };
 
 std::vector<unsigned char> file_of(const StillTask& task, const LightPlanes& planes,
@@ -127,7 +127,7 @@ bool is_scale(Bytes content) {
 
 struct ReadScale {
   LightScale light;
-  Projection environment;
+  StoredProjection environment;
 };
 
 Result<ReadScale> read_scale(Bytes content, Bytes codestream, const std::string& name) {
@@ -216,7 +216,7 @@ Result<void> check_picture(const Image<Rgb>& radiance, const StillGoal& goal) {
 }  // namespace
 
 Result<CodedStill> encode_log_jpeg2000(const Image<Rgb>& radiance, const StillGoal& goal,
-                                       WaveletCoder coder, Projection environment) {
+                                       WaveletCoder coder, StoredProjection environment) {
   PENUMBRA_TRY(check_picture(radiance, goal));
   const StillTask task{radiance, coder_for(radiance, coder), environment};
   // Rounding alone is to be a quarter of the error.
@@ -228,7 +228,7 @@ Result<CodedStill> encode_log_jpeg2000(const Image<Rgb>& radiance, const StillGo
 }
 
 Result<CodedStill> encode_log_jpeg2000_exactly(const Image<Rgb>& radiance, const StillGoal& goal,
-                                               WaveletCoder coder, Projection environment) {
+                                               WaveletCoder coder, StoredProjection environment) {
   PENUMBRA_TRY(check_picture(radiance, goal));
   if (goal.max_bytes > 0)
     return fail(ErrorCode::kInvalid, "goal", "has a size, but what is exact takes what it takes");

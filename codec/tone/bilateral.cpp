@@ -28,10 +28,10 @@ class BilateralGrid {
   BilateralGrid(const Image<float>& values, const BilateralOptions& options)
       : cell_px_(options.sigma_px) {
     const auto [low, high] = std::ranges::minmax(values.pixels());
-    constexpr double kMostCells = 128;
+    constexpr double kMaxCells = 128;
     const double range = static_cast<double>(high) - low;
     low_ = low;
-    cell_range_ = static_cast<float>(std::max(options.sigma_range, range / kMostCells));
+    cell_range_ = static_cast<float>(std::max(options.sigma_range, range / kMaxCells));
     width_ = cells((values.width() - 1) / cell_px_);
     height_ = cells((values.height() - 1) / cell_px_);
     depth_ = cells(range / cell_range_);
@@ -140,11 +140,11 @@ Result<Image<float>> bilateral_base(const Image<float>& values, const BilateralO
   PENUMBRA_TRY(check_finite_values(values, "values"));
   if (values.empty()) return values;
   BilateralGrid grid(values, options);
-  constexpr std::size_t kMostCells = std::size_t{1} << 25;
-  if (grid.size() > kMostCells)
+  constexpr std::size_t kMaxCells = std::size_t{1} << 25;
+  if (grid.size() > kMaxCells)
     return fail(ErrorCode::kInvalid, "bilateral sigma in pixels",
                 fmt::format("{} needs {} cells for this picture, more than {}", options.sigma_px,
-                            grid.size(), kMostCells));
+                            grid.size(), kMaxCells));
   grid.gather(values);
   grid.blur();
   Image<float> out(values.width(), values.height());

@@ -170,9 +170,9 @@ void Compositor::set_surroundings(const Surroundings& surroundings) {
   impl_->layers->set_surroundings(surroundings);
 }
 
-void Compositor::set_light_shares(int object, std::span<const std::array<float, 4>> shares) {
+void Compositor::set_light_fractions(int object, std::span<const std::array<float, 4>> fractions) {
   impl_->context->make_current();
-  impl_->layers->set_light_shares(object, shares);
+  impl_->layers->set_light_fractions(object, fractions);
 }
 
 void Compositor::add_real_receiver(const prt::GroundGrid& grid, const Pose& world_from_grid) {

@@ -80,7 +80,7 @@ class Compositor {
   void set_surroundings(const Surroundings& surroundings);
   /// What of each of Surroundings::lights comes to an object's vertices, 0..1; 1 at first, and for
   /// those that are not told.
-  void set_light_shares(int object, std::span<const std::array<float, 4>> shares);
+  void set_light_fractions(int object, std::span<const std::array<float, 4>> fractions);
 
   /// Ways in for real things:
   ///   add_plane          a plane: hides objects; a shadow is seen where its plane is the nearest

@@ -319,7 +319,7 @@ GlossyObject Glossy::add(const prt::BakedObject& baked, const prt::Mesh& drawn,
   glBufferData(GL_ARRAY_BUFFER, byte_count(directions), directions.data(), GL_DYNAMIC_DRAW);
   glossy_attribute<VertexDirections>(4, 3, offsetof(VertexDirections, normal));
   glossy_attribute<VertexDirections>(9, 4, offsetof(VertexDirections, openness));
-  glBindBuffer(GL_ARRAY_BUFFER, o.shares.get());
+  glBindBuffer(GL_ARRAY_BUFFER, o.fractions.get());
   const std::vector<std::uint8_t> open(4 * drawn.positions.size(), 255);
   glBufferData(GL_ARRAY_BUFFER, byte_count(open), open.data(), GL_DYNAMIC_DRAW);
   glEnableVertexAttribArray(8);
@@ -335,11 +335,11 @@ void Glossy::update_normals(GlossyObject& o, std::span<const glm::vec3> normals)
   glBufferSubData(GL_ARRAY_BUFFER, 0, byte_count(directions), directions.data());
 }
 
-void Glossy::set_shares(GlossyObject& o, std::span<const std::array<float, 4>> shares,
-                        const DrawnVertices& vertices) {
+void Glossy::set_fractions(GlossyObject& o, std::span<const std::array<float, 4>> fractions,
+                           const DrawnVertices& vertices) {
   std::vector<glm::vec4> all;
   all.reserve(o.surface->material.size());
-  for (const auto& s : shares) all.emplace_back(s[0], s[1], s[2], s[3]);
+  for (const auto& s : fractions) all.emplace_back(s[0], s[1], s[2], s[3]);
   all.resize(o.own_vertices, glm::vec4(1));
   vertices.spread(all);
   std::vector<std::array<std::uint8_t, 4>> codes(o.surface->material.size(), {255, 255, 255, 255});
@@ -347,7 +347,7 @@ void Glossy::set_shares(GlossyObject& o, std::span<const std::array<float, 4>> s
     for (int k = 0; k < 4; ++k)
       codes[i][static_cast<std::size_t>(k)] =
           static_cast<std::uint8_t>(std::lround(255 * std::clamp(all[i][k], 0.f, 1.f)));
-  glBindBuffer(GL_ARRAY_BUFFER, o.shares.get());
+  glBindBuffer(GL_ARRAY_BUFFER, o.fractions.get());
   glBufferSubData(GL_ARRAY_BUFFER, 0, byte_count(codes), codes.data());
 }
 

@@ -35,7 +35,7 @@ struct GlossyObject {
     GLsizei first, count;  // indices
   };
   std::shared_ptr<const prt::SurfaceMaterials> surface;
-  GlBuffer attributes{}, directions{}, shares{}, sorted{};
+  GlBuffer attributes{}, directions{}, fractions{}, sorted{};
   std::vector<Part> parts{};
   bool shows_backs = false;  // of some part
   std::size_t own_vertices = 0;
@@ -60,9 +60,9 @@ class Glossy {
                    const DrawnVertices& vertices, std::vector<GlossyObject::Triangle>& triangles);
   /// Of another form, whose vertices count as open.
   static void update_normals(GlossyObject& object, std::span<const glm::vec3> normals);
-  /// Visible shares of Surroundings::lights, by vertex of the object's own; none: all open.
-  static void set_shares(GlossyObject& object, std::span<const std::array<float, 4>> shares,
-                         const DrawnVertices& vertices);
+  /// Visible fractions of Surroundings::lights, by vertex of the object's own; none: all open.
+  static void set_fractions(GlossyObject& object, std::span<const std::array<float, 4>> fractions,
+                            const DrawnVertices& vertices);
   void set_surroundings(const Surroundings& surroundings);
   /// Shadow ratios on the floor that it stands on.
   /// in:  of kMirroredFloor texels a side, on the grid of the object's receiver

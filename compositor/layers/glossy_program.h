@@ -80,12 +80,12 @@ layout(location = 4) in vec3 normal;
 layout(location = 5) in vec4 tangent;
 layout(location = 6) in vec4 coordinates;
 layout(location = 7) in vec3 vertex_tint;
-layout(location = 8) in vec4 light_shares;
+layout(location = 8) in vec4 light_fractions;
 layout(location = 9) in vec4 open_towards;
 uniform mat4 world_from_object;
 centroid out vec3 light, at, up;
 centroid out vec3 tint;
-centroid out vec4 along, place, shares, openness;
+centroid out vec4 along, place, fractions, openness;
 void main() {
   light = irradiance;
   at = (world_from_object * vec4(position, 1)).xyz;
@@ -94,7 +94,7 @@ void main() {
   place = coordinates;
   tint = vertex_tint;
   openness = vec4(open_towards.x, mat3(world_from_object) * open_towards.yzw);
-  shares = light_shares;
+  fractions = light_fractions;
   gl_Position = place_in_picture(position);
 })";
 
@@ -103,7 +103,7 @@ void main() {
 inline constexpr const char* kGlossyFragment = R"(
 centroid in vec3 light, at, up;
 centroid in vec3 tint;
-centroid in vec4 along, place, shares, openness;
+centroid in vec4 along, place, fractions, openness;
 uniform float signal_per_radiance, emission_unit;
 uniform vec3 eye;
 uniform vec4 base_colour;
@@ -153,12 +153,12 @@ vec3 mirrored_lights(vec3 n, vec3 v, float n_dot_v, float alpha, vec3 f0, float 
   vec3 sum = vec3(0);
   for (int i = 0; i < light_count; ++i) {
     vec3 l = light_places[i].xyz;
-    float n_dot_l = dot(n, l), share = shares[i];
-    if (n_dot_l <= 0.0 || share <= 0.0) continue;
+    float n_dot_l = dot(n, l), fraction = fractions[i];
+    if (n_dot_l <= 0.0 || fraction <= 0.0) continue;
     float a2 = alpha * alpha + 0.25 * light_places[i].w * light_places[i].w;
     vec3 m = normalize(l + v);
     float grazing = pow(1.0 - clamp(dot(v, m), 0.0, 1.0), 5.0);
-    sum += light_irradiances[i] * (share * n_dot_l * density(a2, clamp(dot(n, m), 0.0, 1.0)) *
+    sum += light_irradiances[i] * (fraction * n_dot_l * density(a2, clamp(dot(n, m), 0.0, 1.0)) *
            visibility(a2, n_dot_l, n_dot_v)) * mix(f0, vec3(f90), grazing);
   }
   return sum;
@@ -168,7 +168,7 @@ vec2 reflected_of_even(float n_dot_v, float rough) {
 }
 // What the surface lets in from around a direction, of what an open one does: both by two bands of
 // harmonics.
-float open_share(vec3 r, vec3 plain) {
+float open_fraction(vec3 r, vec3 plain) {
   float here = 0.282095 * openness.x + 0.488603 * dot(openness.yzw, r);
   float open = (1.0 + 2.0 * max(dot(plain, r), 0.0)) / (4.0 * 3.14159265);
   return clamp(here / open, 0.0, 1.0);
@@ -310,9 +310,9 @@ void main() {
   vec3 f0 = mix(reflectance, base.rgb, metal);
   float f90 = mix(grazing_reflectance, 1.0, metal);
   vec3 again = 1.0 + f0 * (1.0 / max(even.x + even.y, 1e-3) - 1.0);
-  vec3 share = (f0 * even.x + f90 * even.y) * again;
+  vec3 fraction = (f0 * even.x + f90 * even.y) * again;
   vec3 r = reflect(-v, n);
-  float seen = occlusion * open_share(r, plain);
+  float seen = occlusion * open_fraction(r, plain);
 #ifdef NORMAL_MAP
   float above = clamp(1.0 + dot(r, plain), 0.0, 1.0);
   seen *= above * above;
@@ -328,11 +328,11 @@ void main() {
 #ifdef FLOOR
   around = above_floor(around, r, at_level, alpha);
 #endif
-  vec3 shown = share * mix(own, around, seen);
+  vec3 shown = fraction * mix(own, around, seen);
 #ifdef LIGHTS
   shown += again * mirrored_lights(n, v, n_dot_v, alpha, f0, f90);
 #endif
-  vec3 diffuse = own * (1.0 - metal) * (1.0 - share);
+  vec3 diffuse = own * (1.0 - metal) * (1.0 - fraction);
   shown += diffuse * (1.0 - transmission);
 #ifdef EMISSION_MAP
   shown += emission * emission_unit * texture(emission_map, place_of(4)).rgb;
@@ -354,7 +354,7 @@ void main() {
 #endif
   float cover = base.a;
 #ifdef BLEND
-  cover *= 1.0 - transmission * (1.0 - metal) * (1.0 - max(share.r, max(share.g, share.b)));
+  cover *= 1.0 - transmission * (1.0 - metal) * (1.0 - max(fraction.r, max(fraction.g, fraction.b)));
 #endif
   vec4 drawn = vec4(min(signal_per_radiance * shown, 1000.0) * base.a, cover);
 #endif

@@ -399,10 +399,10 @@ void Layers::set_surroundings(const Surroundings& surroundings) {
   for (DrawnObject& o : objects_) o.changed |= o.glossy.has_value();
 }
 
-void Layers::set_light_shares(int object, std::span<const std::array<float, 4>> shares) {
+void Layers::set_light_fractions(int object, std::span<const std::array<float, 4>> fractions) {
   DrawnObject& o = objects_[static_cast<std::size_t>(object)];
   if (!o.glossy) return;
-  Glossy::set_shares(*o.glossy, shares, o.drawn_vertices);
+  Glossy::set_fractions(*o.glossy, fractions, o.drawn_vertices);
   o.changed = true;
 }
 

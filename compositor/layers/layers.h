@@ -34,7 +34,7 @@ class Layers {
   void set_light(int object, std::span<const float> relit);
   /// As of Compositor.
   void set_surroundings(const Surroundings& surroundings);
-  void set_light_shares(int object, std::span<const std::array<float, 4>> shares);
+  void set_light_fractions(int object, std::span<const std::array<float, 4>> fractions);
   /// Whether it has materials, and shows the floor in them.
   bool mirrors(int object) const {
     return objects_[static_cast<std::size_t>(object)].glossy.has_value();

@@ -182,8 +182,8 @@ ReflectionFilter::ReflectionFilter(const SurfaceRoughness& asked) {
   spots_ = pyramid_;
 }
 
-// Each sample stands for its share of the lobe, and reads where texels are as large. Small pictures
-// afford more of them.
+// Each sample stands for its fraction of the lobe, and reads where texels are as large. Small
+// pictures afford more of them.
 // source: Krivanek & Colbert 2008
 std::vector<ReflectionFilter::LobeSample> ReflectionFilter::lobe_of(float roughness, int size,
                                                                     int base) {
@@ -197,8 +197,8 @@ std::vector<ReflectionFilter::LobeSample> ReflectionFilter::lobe_of(float roughn
   for (const glm::vec3& m : ggx_half_vectors(alpha, count)) {
     const glm::vec3 towards(2 * m.z * m.x, 2 * m.z * m.y, 2 * m.z * m.z - 1);
     if (towards.z <= 0) continue;
-    const float share = 4 / (static_cast<float>(count) * ggx_density(alpha, m.z));
-    const float level = .5f * std::log2(share / texel);
+    const float fraction = 4 / (static_cast<float>(count) * ggx_density(alpha, m.z));
+    const float level = .5f * std::log2(fraction / texel);
     out.push_back(
         {towards, towards.z, std::clamp(static_cast<int>(std::lround(level)), 0, halvings)});
     sum += towards.z;

@@ -31,7 +31,7 @@
 namespace penumbra::prt {
 namespace {
 
-constexpr int kVersion = 5;
+constexpr int kVersion = 6;
 using tinygltf::Model;
 using tinygltf::Value;
 
@@ -51,8 +51,8 @@ Value::Object describe(const BakedObject& o, const OwnAccessors& own) {
   d["version"] = Value(kVersion);
   d["bands"] = Value(o.transfer.bands);
   d["channels"] = Value(o.transfer.channels);
-  d["indirect"] = Value(own.reflected);
-  d["indirect_bands"] = Value(o.reflected.bands);
+  d["reflected"] = Value(own.reflected);
+  d["reflected_bands"] = Value(o.reflected.bands);
   d["rays"] = number(static_cast<double>(o.report.rays));
   d["seconds"] = number(o.report.seconds);
   d["standard_error"] = number(o.report.standard_error);
@@ -70,7 +70,7 @@ Value::Object describe(const BakedObject& o, const OwnAccessors& own) {
     r["height_m"] = number(g.height);
     r["albedo"] = Value(Value::Array{number(a.r), number(a.g), number(a.b)});
     r["deficit"] = Value(own.ground_deficit);
-    r["indirect"] = Value(own.ground_reflected);
+    r["reflected"] = Value(own.ground_reflected);
     r["probes"] = Value(own.shadow_probes);
     if (o.floor.points > 0) {
       const Rgb& echo = o.floor_echo;
@@ -288,7 +288,7 @@ bool read_receiver(const Model& m, const Value& r, BakedObject& o) {
   if (r.Has("floor") && !read_floor(m, r.Get("floor"), texels, o)) return false;
   return read_halves(m, get(r, "deficit"), o.transfer.bands, o.transfer.channels, texels,
                      o.ground_deficit) &&
-         read_halves(m, get(r, "indirect"), o.reflected.bands, o.transfer.channels, texels,
+         read_halves(m, get(r, "reflected"), o.reflected.bands, o.transfer.channels, texels,
                      o.ground_reflected);
 }
 
@@ -315,9 +315,9 @@ Result<BakedObject> from_model(const Model& m, const std::string& file) {
   if (!read_mesh(m, o.mesh)) return fail(ErrorCode::kUnreadable, file, "has a damaged mesh");
   if (!read_transfer(m, primitive, static_cast<int>(bands), static_cast<int>(channels), o))
     return fail(ErrorCode::kUnreadable, file, "has damaged transfer");
-  const double reflected_bands = get(*extras, "indirect_bands");
+  const double reflected_bands = get(*extras, "reflected_bands");
   if (!(reflected_bands >= 1 && reflected_bands <= kMaxBands) ||
-      !read_halves(m, get(*extras, "indirect"), static_cast<int>(reflected_bands),
+      !read_halves(m, get(*extras, "reflected"), static_cast<int>(reflected_bands),
                    o.transfer.channels, o.transfer.points, o.reflected))
     return fail(ErrorCode::kUnreadable, file, "has damaged reflected transfer");
   if (extras->Has("visibility") &&

@@ -15,10 +15,10 @@ namespace penumbra::prt {
 namespace {
 
 constexpr auto kPiF = static_cast<float>(kPi);
-constexpr float kLeastCosine = 1e-3f;  // of the viewer
+constexpr float kMinCosine = 1e-3f;  // of the viewer
 
 float width_of(float roughness) {
-  return std::max(roughness * roughness, MaterialLobes::kLeastWidth);
+  return std::max(roughness * roughness, MaterialLobes::kMinWidth);
 }
 
 // D(m); by the sine, which keeps its digits where the lobe is narrow.
@@ -75,7 +75,7 @@ const Image<glm::vec2>& mirrored_of_even_table() {
     for (int y = 0; y < kEvenTable; ++y)
       for (int x = 0; x < kEvenTable; ++x) {
         const float root = static_cast<float>(x) / (kEvenTable - 1);
-        out.at(x, y) = mirrored_of_even(std::max(root * root, kLeastCosine),
+        out.at(x, y) = mirrored_of_even(std::max(root * root, kMinCosine),
                                         static_cast<float>(y) / (kEvenTable - 1));
       }
     return out;
@@ -95,8 +95,8 @@ glm::vec2 mirrored_of_even_read(float n_dot_v, float roughness) {
 }
 
 glm::vec3 above_surface(glm::vec3 v) {
-  if (v.z >= kLeastCosine) return v;
-  v.z = kLeastCosine;
+  if (v.z >= kMinCosine) return v;
+  v.z = kMinCosine;
   return glm::normalize(v);
 }
 
@@ -111,14 +111,14 @@ MaterialLobes::MaterialLobes(const LocalMaterial& m, const glm::vec3& towards_vi
   const glm::vec2 of_coat = mirrored_of_even_read(viewer_.z, m.clearcoat_roughness);
   constexpr float kCoatReflectance = .04f;
   const float coat = m.clearcoat * (kCoatReflectance * of_coat.x + of_coat.y), below = 1 - coat;
-  Rgb again, share, evenly;
+  Rgb again, fraction, evenly;
   for (int c = 0; c < 3; ++c) {
     again[c] = lighting::more_than_once(std::max(even.x + even.y, 1e-3f), m.reflectance[c]);
-    share[c] = (m.reflectance[c] * even.x + m.grazing_reflectance * even.y) * again[c];
-    evenly[c] = m.diffuse[c] * std::max(0.f, 1 - share[c]);
+    fraction[c] = (m.reflectance[c] * even.x + m.grazing_reflectance * even.y) * again[c];
+    evenly[c] = m.diffuse[c] * std::max(0.f, 1 - fraction[c]);
   }
   lobes_[0] = {width_of(m.roughness), m.reflectance, m.grazing_reflectance, again * below,
-               below * luminance(share)};
+               below * luminance(fraction)};
   lobes_[1] = {width_of(m.clearcoat_roughness), Rgb{1, 1, 1} * kCoatReflectance, 1,
                Rgb{1, 1, 1} * m.clearcoat, coat};
   diffuse_chance_ = below * luminance(evenly);
@@ -130,7 +130,7 @@ MaterialLobes::MaterialLobes(const LocalMaterial& m, const glm::vec3& towards_vi
   emission_ = m.emission * below;
   cover_ = m.opacity;
   if (m.transmitted > 0)
-    cover_ *= 1 - m.transmitted * std::max(0.f, 1 - std::max({share.r, share.g, share.b}));
+    cover_ *= 1 - m.transmitted * std::max(0.f, 1 - std::max({fraction.r, fraction.g, fraction.b}));
 }
 
 // With the visible facets of Heitz 2018: D G1 / (4 n.v).

@@ -14,12 +14,12 @@ namespace penumbra::prt {
 
 /// Diffuse light, what is mirrored, and what a clear coat mirrors, seen from one direction.
 /// source: glTF 2.0, appendix B; Walter et al. 2007 and Heitz 2014 (GGX); Turquin 2019 (what facets
-/// reflect again); differs: (1 - share) of diffuse light is left below what is mirrored, by what is
-/// mirrored of even light towards the viewer alone, so the two ways of light are not alike
+/// reflect again); differs: (1 - fraction) of diffuse light is left below what is mirrored, by what
+/// is mirrored of even light towards the viewer alone, so the two ways of light are not alike
 class MaterialLobes {
  public:
   /// Mirrors are this rough at least: alpha, where roughness is its root.
-  static constexpr float kLeastWidth = 1e-3f;
+  static constexpr float kMinWidth = 1e-3f;
 
   /// in: towards_viewer: unit; a little above the surface where it is not
   MaterialLobes(const LocalMaterial& material, const glm::vec3& towards_viewer);

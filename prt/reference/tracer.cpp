@@ -12,7 +12,7 @@ namespace penumbra::prt {
 
 namespace {
 
-constexpr int kMostPassed = 64;  // surfaces that one ray goes through
+constexpr int kMaxPassed = 64;  // surfaces that one ray goes through
 
 }  // namespace
 
@@ -83,7 +83,7 @@ Tracer::Meeting Tracer::meet_triangle(const Hit& hit, const glm::vec3& o, const 
 
 Tracer::Meeting Tracer::trace(const glm::vec3& o, const glm::vec3& d, float near,
                               PathNumbers& numbers, PathPoint& out) const {
-  for (int passed = 0; passed < kMostPassed; ++passed) {
+  for (int passed = 0; passed < kMaxPassed; ++passed) {
     const auto hit = scene_ ? scene_->intersect(o, d, near) : std::nullopt;
     float distance = hit ? hit->distance : 1e30f;
     if (const Plane* plane = nearest_plane(o, d, near, distance)) {
@@ -108,13 +108,13 @@ Tracer::Meeting Tracer::trace(const glm::vec3& o, const glm::vec3& d, float near
   return Meeting::kBack;
 }
 
-float Tracer::open_share(const glm::vec3& o, const glm::vec3& d, float far) const {
+float Tracer::open_fraction(const glm::vec3& o, const glm::vec3& d, float far) const {
   float distance = far;
   if (nearest_plane(o, d, near_, distance)) return 0;
   if (!scene_) return 1;
   if (!see_through_) return scene_->occluded(o, d, near_, far) ? 0 : 1;
   float open = 1, near = near_;
-  for (int passed = 0; passed < kMostPassed && open > 0; ++passed) {
+  for (int passed = 0; passed < kMaxPassed && open > 0; ++passed) {
     const auto hit = scene_->intersect(o, d, near, far);
     if (!hit) return open;
     open *= 1 - cover(*hit, d);
@@ -136,7 +136,7 @@ Rgb Tracer::from_lamp(const SphereLight& lamp, const PathPoint& at, const Materi
       frame_around(to / distance) * glm::vec3(r * std::cos(phi), r * std::sin(phi), z);
   const float cosine = glm::dot(at.normal, d);
   if (cosine <= 0) return {};
-  const float open = open_share(at.position + near_ * at.normal, d, distance - radius);
+  const float open = open_fraction(at.position + near_ * at.normal, d, distance - radius);
   if (open <= 0) return {};
   const float solid_angle = 2 * static_cast<float>(kPi) * cut;
   const Rgb radiance = lamp.irradiance_at_1m * (1 / (static_cast<float>(kPi) * radius * radius));
@@ -150,7 +150,7 @@ Rgb Tracer::direct(const PathPoint& at, const MaterialLobes* lobes, PathNumbers&
   const EnvironmentLight::LightSample s = world_.light->sample(u1, u2);
   const float cosine = glm::dot(at.normal, s.direction);
   if (cosine <= 0 || s.density <= 0) return {};
-  const float open = open_share(at.position + near_ * at.normal, s.direction);
+  const float open = open_fraction(at.position + near_ * at.normal, s.direction);
   if (open <= 0) return {};
   if (lobes)
     return s.radiance * lobes->evaluate(s.direction) *

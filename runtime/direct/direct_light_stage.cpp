@@ -425,8 +425,8 @@ void DirectLightStage::add_light(std::size_t object, std::span<float> relit) con
   }
 }
 
-void DirectLightStage::visible_shares(std::size_t source, std::size_t object,
-                                      std::span<float> out) const {
+void DirectLightStage::visible_fractions(std::size_t source, std::size_t object,
+                                         std::span<float> out) const {
   constexpr float kGrazing = .02f;  // of a surface that looks away there is nothing to compare
   const TracedLight& t = traced_[source];
   const std::vector<float>& cosine = t.cosine[object];

@@ -78,7 +78,7 @@ class DirectLightStage {
   void add_light(std::size_t object, std::span<float> relit) const;
   /// What of a light (by its place in update()'s list) comes to each vertex of an object, 0..1; 1
   /// where the surface looks away from it.
-  void visible_shares(std::size_t source, std::size_t object, std::span<float> out) const;
+  void visible_fractions(std::size_t source, std::size_t object, std::span<float> out) const;
   /// E0 - E at points of real geometry and what is really left there of all distant lights,
   /// relative irradiance.
   struct AtVertices {

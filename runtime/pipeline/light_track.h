@@ -9,6 +9,7 @@
 #include "capture/frames.h"
 #include "core/result.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::runtime {
 
 /// What a recording keeps of the light.
@@ -21,8 +22,8 @@ enum class KeptLight {
 /// errors: kInvalid naming the known ones
 Result<KeptLight> kept_light(std::string_view name);
 
-/// Most rows of a track's maps where nothing else is asked for, pixels of 1.4 degrees: enough for
-/// shadows and matt objects. A mirror shows finer ones.
+/// Maximum number of rows of a track's maps where nothing else is asked for, pixels of 1.4 degrees:
+/// enough for shadows and matt objects. A mirror shows finer ones.
 inline constexpr int kLightTrackRows = 128;
 
 /// The source's frames, and behind each of the surroundings the map as it is then. The track is the
@@ -36,3 +37,4 @@ Result<std::unique_ptr<capture::FrameSource>> with_light_track(capture::FrameSou
                                                                int max_rows = kLightTrackRows);
 
 }  // namespace penumbra::runtime
+#pragma GCC visibility pop

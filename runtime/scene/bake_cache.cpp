@@ -30,7 +30,7 @@ constexpr const char *kClipKind = ".shlm", *kJournalKind = ".journal";
 
 // Everything that the bake's result depends on; the version changes with the bake's own code.
 std::string cache_name(const prt::Mesh& mesh, const prt::BakeOptions& o) {
-  constexpr std::uint64_t kBakeVersion = 13;
+  constexpr std::uint64_t kBakeVersion = 14;
   Fnv1a h;
   h.add(kBakeVersion).add(mesh.positions).add(mesh.normals).add(mesh.albedo).add(mesh.triangles);
   for (const int n : {o.bands, o.bounces, o.rays, o.ground_rays, static_cast<int>(o.visibility),

@@ -291,7 +291,7 @@ Result<std::vector<lighting::SaturationRecovery>> FloorRecovery::recover(
     surface.regions = std::span(regions).first(1);
     found = lighting::recover_from_shadows(light, surface);
   }
-  if (!found) return std::unexpected(found.error());
+  PENUMBRA_TRY(found);
   return std::move(found->powers);
 }
 

@@ -60,14 +60,14 @@ void MirroredSurroundings::update(const lighting::LightEstimate& light,
   for (std::size_t o = 0; o < scene_.objects.size(); ++o) {
     if (!scene_.objects[o].baked.surface || !(renewed || lights.changed(o))) continue;
     const std::size_t vertices = scene_.objects[o].baked.mesh.positions.size();
-    shares_.assign(vertices, {1, 1, 1, 1});
+    fractions_.assign(vertices, {1, 1, 1, 1});
     one_.resize(vertices);
     for (std::size_t k = 0; k < apart.size(); ++k) {
       std::ranges::fill(one_, 1.f);
-      lights.visible_shares(apart[k], o, one_);
-      for (std::size_t v = 0; v < vertices; ++v) shares_[v][k] = one_[v];
+      lights.visible_fractions(apart[k], o, one_);
+      for (std::size_t v = 0; v < vertices; ++v) fractions_[v][k] = one_[v];
     }
-    compositor.set_light_shares(handles[o], shares_);
+    compositor.set_light_fractions(handles[o], fractions_);
   }
 }
 

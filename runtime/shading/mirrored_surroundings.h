@@ -34,8 +34,8 @@ class MirroredSurroundings {
   lighting::SurfaceRoughness asked_;
   std::optional<lighting::ReflectionFilter> own_filter_;  // of estimates without reflections
   std::optional<lighting::LightEstimate> shown_;
-  std::vector<std::array<float, 4>> shares_;  // scratch, of one object's vertices
-  std::vector<float> one_;                    // of one light
+  std::vector<std::array<float, 4>> fractions_;  // scratch, of one object's vertices
+  std::vector<float> one_;                       // of one light
 };
 
 }  // namespace penumbra::runtime

@@ -14,13 +14,13 @@ namespace {
 // The first: codes go to the eye as they are. The others take linear light.
 constexpr std::array<std::int64_t, 3> kSwapchainFormats = {GL_SRGB8_ALPHA8, GL_RGBA16F, GL_RGBA8};
 constexpr XrPosef kNoTurn = {{0, 0, 0, 1}, {0, 0, 0}};
-constexpr std::uint32_t kMostListed = 64, kMostPixels = 16384;
+constexpr std::uint32_t kMaxListed = 64, kMaxPixels = 16384;
 
 template <class Value, class Call>
 Result<std::vector<Value>> listed(Call call, const char* what, Value empty = {}) {
   std::uint32_t count = 0;
   PENUMBRA_TRY(xr_try(call(0, &count, nullptr), what));
-  std::vector<Value> out(std::min(count, kMostListed), empty);
+  std::vector<Value> out(std::min(count, kMaxListed), empty);
   PENUMBRA_TRY(xr_try(call(static_cast<std::uint32_t>(out.size()), &count, out.data()), what));
   out.resize(std::min<std::size_t>(count, out.size()));
   return out;
@@ -130,8 +130,8 @@ Result<void> HeadSession::make_swapchains(HeadsetGraphics& graphics) {
   if (sizes.empty() || sizes.size() > 2)
     return fail(ErrorCode::kUnavailable, "headset", "has neither one eye nor two");
   for (const XrViewConfigurationView& size : sizes) {
-    if (size.recommendedImageRectWidth - 1 >= kMostPixels ||
-        size.recommendedImageRectHeight - 1 >= kMostPixels)
+    if (size.recommendedImageRectWidth - 1 >= kMaxPixels ||
+        size.recommendedImageRectHeight - 1 >= kMaxPixels)
       return fail(ErrorCode::kUnavailable, "headset", "recommends a size that is not a picture's");
     XrSwapchainCreateInfo info{};
     info.type = XR_TYPE_SWAPCHAIN_CREATE_INFO;

@@ -46,8 +46,8 @@ void SessionThread::show(int eye, EyePicture picture) {
     const std::string line = fmt::format("{}: {}", fit.error().where, fit.error().detail);
     {
       const std::scoped_lock lock(mutex_);
-      constexpr std::size_t kMostTold = 16;
-      if (refusals_.size() >= kMostTold || !refusals_.insert(line).second) return;
+      constexpr std::size_t kMaxTold = 16;
+      if (refusals_.size() >= kMaxTold || !refusals_.insert(line).second) return;
     }
     return log_warning("{}", line);
   }

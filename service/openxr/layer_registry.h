@@ -52,7 +52,7 @@ class LayerRegistry {
  public:
   using InstancePtr = std::shared_ptr<LayerInstance>;
   using EstimatorPtr = std::shared_ptr<LayerEstimator>;
-  static constexpr int kMostEstimators = 16;  // of a session
+  static constexpr int kMaxEstimators = 16;  // of a session
 
   void add(InstancePtr instance) {
     const std::lock_guard lock(mutex_);
@@ -97,7 +97,7 @@ class LayerRegistry {
     const std::lock_guard lock(mutex_);
     int count = 0;
     for (const auto& [handle, other] : estimators_) count += other->session == estimator->session;
-    if (count >= kMostEstimators) return XR_NULL_HANDLE;
+    if (count >= kMaxEstimators) return XR_NULL_HANDLE;
     // Never used twice, so that a handle of a destroyed estimator stays wrong.
     const auto handle = reinterpret_cast<XrLightEstimatorANDROID>(++last_handle_);
     estimators_[handle] = std::move(estimator);

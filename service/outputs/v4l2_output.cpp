@@ -85,8 +85,8 @@ Result<void> V4l2Sink::open() {
   std::vector<std::uint32_t> found;
   v4l2_fmtdesc description{};
   description.type = V4L2_BUF_TYPE_VIDEO_OUTPUT;
-  constexpr std::uint32_t kMostFormats = 512;
-  for (; description.index < kMostFormats && call(VIDIOC_ENUM_FMT, &description) == 0;
+  constexpr std::uint32_t kMaxFormats = 512;
+  for (; description.index < kMaxFormats && call(VIDIOC_ENUM_FMT, &description) == 0;
        ++description.index)
     found.push_back(description.pixelformat);
   for (const std::uint32_t format : kFormats)

@@ -191,7 +191,7 @@ Result<RecordingState> LiveRecording::stop() {
   const std::scoped_lock control(control_mutex_);
   {
     const std::scoped_lock lock(mutex_);
-    if (!branch_) return fail(ErrorCode::kNotFound, "recording", "does not go on");
+    if (!branch_) return fail(ErrorCode::kNotFound, "recording", "none is running");
   }
   end_thread();
   const std::scoped_lock lock(mutex_);

@@ -75,8 +75,8 @@ class MeetingTexels {
 
   void flush() {
     if (count_ == 0) return;
-    gather(*first_.object, &Meeting::first, deficits_.first);
-    gather(*second_.object, &Meeting::second, deficits_.second);
+    gather(*first_.object, &TexelPair::first, deficits_.first);
+    gather(*second_.object, &TexelPair::second, deficits_.second);
     find_overlap(deficits_, bands_, turn_.entries(), overlap_);
     for (std::size_t i = 0; i < count_; ++i) {
       const auto& [at_first, at_second] = waiting_[i];
@@ -89,12 +89,12 @@ class MeetingTexels {
   }
 
  private:
-  struct Meeting {
+  struct TexelPair {
     glm::ivec2 first, second;
   };
 
   // What the object takes there of its first channel; nothing in places that wait for no texel.
-  void gather(const prt::BakedObject& object, glm::ivec2 Meeting::*at,
+  void gather(const prt::BakedObject& object, glm::ivec2 TexelPair::*at,
               std::uint16_t (&out)[kMaxCoefficients][DeficitBatch::kTexels]) const {
     const prt::Transfer& t = object.ground_deficit;
     const int size = object.receiver->grid.size;
@@ -112,7 +112,7 @@ class MeetingTexels {
   const TexelRotation& turn_;
   int bands_;
   PlanarShadow& out_;
-  std::array<Meeting, DeficitBatch::kTexels> waiting_;
+  std::array<TexelPair, DeficitBatch::kTexels> waiting_;
   std::size_t count_ = 0;
   DeficitBatch deficits_;
   OverlapBatch overlap_;

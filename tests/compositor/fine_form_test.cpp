@@ -115,7 +115,7 @@ TEST_F(FineFormPictures, MaterialsAreThoseOfTheFineForm) {
   ball.fine = fine;
   const RadianceSh light = test::sloped_light(1, {.4, .3, .5}, 3);
   const int handle = test::add_lit(*compositor_, ball, light);
-  compositor_->set_light_shares(
+  compositor_->set_light_fractions(
       handle, std::vector<std::array<float, 4>>(ball.mesh.positions.size(), {1, 0, 1, 0}));
   const BallError error = error_of(drawn(), lighting::irradiance(light));
   EXPECT_LT(error.rms, .03 * error.mean);

@@ -204,7 +204,7 @@ TEST_F(GlossyBall, ALightsHighlightStandsWhereItMirrors) {
   EXPECT_NEAR(most, 3 / (4 * kPi * std::pow(.4, 4)), .12 * most);
   // In shade there is none.
   std::vector<std::array<float, 4>> none(object_.mesh.positions.size(), {0, 0, 0, 0});
-  compositor_->set_light_shares(handle_, none);
+  compositor_->set_light_fractions(handle_, none);
   double left = 0;
   over_ball(drawn(), [&](const dvec3&, const dvec3&, const Rgb& c) { left += c.g; });
   EXPECT_LT(left, 1e-3);

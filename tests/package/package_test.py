@@ -35,6 +35,15 @@ def check_headers(prefix, folder, compiler, flags):
     (folder / "all.cpp").write_text("".join(f"#include <{file.relative_to(include)}>\n"
                                             for file in sorted(include.rglob("*.h"))))
     run(compiler, "-fsyntax-only", folder / "all.cpp", *flags)
+    hidden = [str(file.relative_to(include)) for file in sorted(include.rglob("*.h"))
+              if file.parent.name != "client" and not shows_what_it_declares(file.read_text())]
+    check(not hidden, f"declare what the shared library hides: {hidden}")
+
+
+def shows_what_it_declares(header):
+    """Or includes alone, or holds templates alone."""
+    declares = any(line and not line.startswith(("#", "//", " ")) for line in header.splitlines())
+    return (not declares or "#pragma GCC visibility push(default)" in header or "template <" in header)
 
 
 def check_installed(files, folder, examples, environment, lines, library):

@@ -14,7 +14,7 @@ namespace penumbra::tools {
 
 namespace {
 
-constexpr std::size_t kMostBytes = std::size_t{1} << 20;
+constexpr std::size_t kMaxBytes = std::size_t{1} << 20;
 
 // One of the child's three streams, in memory: no pipe fills up while nobody reads.
 class ChildStream {
@@ -39,7 +39,7 @@ class ChildStream {
   std::string text() const {
     std::string out;
     std::array<char, 4096> part{};
-    while (out.size() < kMostBytes) {
+    while (out.size() < kMaxBytes) {
       const ssize_t n = ::pread(fd_, part.data(), part.size(), static_cast<off_t>(out.size()));
       if (n < 0 && errno == EINTR) continue;
       if (n <= 0) break;

@@ -111,7 +111,9 @@ Result<void> make_shard(const fs::path& file,
     if (!fs::exists(file, ignored))
       return fail(ErrorCode::kUnwritable, file.string(), error.message());
     PENUMBRA_ASSIGN(whole, is_whole(file));
-    if (!whole) return fail(ErrorCode::kUnwritable, file.string(), "another attempt has spoilt it");
+    if (!whole)
+      return fail(ErrorCode::kUnwritable, file.string(),
+                  "holds a damaged file that another attempt left; remove it");
   }
   remove_attempts(file);
   return {};

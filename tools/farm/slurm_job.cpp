@@ -100,7 +100,7 @@ struct Shortage {
 
 void ask_for_more(const Shortage& shortage, SlurmPlan& plan) {
   for (SlurmStage& stage : plan.stages) {
-    if (shortage.time) stage.seconds = 2 * std::max(stage.seconds, kLeastSeconds);
+    if (shortage.time) stage.seconds = 2 * std::max(stage.seconds, kMinSeconds);
     if (shortage.memory) stage.bytes = 2 * std::max(stage.bytes, std::uint64_t{1} << 20);
   }
   if (shortage.time) log_warning("{}: asks for twice the time", plan.title);

@@ -57,7 +57,7 @@ std::string request(const SlurmPlan& plan, std::size_t which) {
   std::string out =
       fmt::format("--job-name={} --time={:.0f} --mem={}M --output={}",
                   shell_quoted(plan.title + " " + stage.name),
-                  std::ceil(std::max(kLeastSeconds, stage.seconds) / 60),
+                  std::ceil(std::max(kMinSeconds, stage.seconds) / 60),
                   std::max<std::uint64_t>(1, (stage.bytes + kMegabyte - 1) / kMegabyte),
                   shell_quoted(log_name(plan, stage)));
   if (!plan.mark.empty()) out += " --comment=" + shell_quoted(plan.mark);

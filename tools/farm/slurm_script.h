@@ -21,7 +21,7 @@ struct SlurmStage {
 };
 
 /// Slurm counts minutes, and kills a job by them: less than that is no bound worth asking for.
-inline constexpr double kLeastSeconds = 300;
+inline constexpr double kMinSeconds = 300;
 
 struct SlurmPlan {
   std::string title;    // of the jobs, such as the output's name

@@ -91,7 +91,7 @@ Result<void> record(const RecordOptions& o) {
   auto counts = service::record_frames(
       source, o.output, {o.seconds, static_cast<std::uint64_t>(o.frames)}, stop, tell);
   if (watched) std::fputs("\r\x1b[K", stderr);
-  if (!counts) return std::unexpected(counts.error());
+  PENUMBRA_TRY(counts);
   if (counts->frames.empty()) return stopped(o.output);
   if (o.json)
     print_json(to_json(cameras, *counts));
@@ -118,7 +118,7 @@ void add_record(CLI::App& parent, Action& action) {
                 "both")
       ->capture_default_str();
   c->add_option("--light-rows", record_options.light_rows,
-                "Most rows of the track's maps, 16..1024; finer ones are averaged")
+                "Maximum number of rows of the track's maps, 16..1024; finer ones are averaged")
       ->capture_default_str();
   add_json(c, record_options.json);
   c->callback([&] { action = [] { return record(record_options); }; });

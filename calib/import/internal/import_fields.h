@@ -83,6 +83,6 @@ Result<nlohmann::json> parse_import_text(std::string_view text, const std::strin
 Result<nlohmann::json> parse_storage_xml(std::string_view text, const std::string& where);
 
 inline constexpr int kDeepestImport = 64;
-inline constexpr int kMostImportValues = 200'000;
+inline constexpr int kMaxImportValues = 200'000;
 
 }  // namespace penumbra::calib

@@ -15,7 +15,7 @@ namespace penumbra::prt::gltf {
 namespace {
 
 constexpr float kSmoothCosine = .17364818f;  // of 80 degrees
-constexpr std::size_t kMostFaces = 256;      // at one place; where more meet, all are averaged
+constexpr std::size_t kMaxFaces = 256;       // at one place; where more meet, all are averaged
 
 struct FaceCorner {
   glm::vec3 normal{0};  // of its face
@@ -80,7 +80,7 @@ void make_normals(Primitive& p) {
     const std::span<const std::uint32_t> here(&sorted[begin[places[i]]],
                                               begin[places[i] + 1] - begin[places[i]]);
     glm::vec3 sum(0);
-    if (here.size() <= kMostFaces) {
+    if (here.size() <= kMaxFaces) {
       for (const std::uint32_t other : here)
         if (glm::dot(corners[other].normal, corners[i].normal) > kSmoothCosine)
           sum += corners[other].normal * corners[other].angle;

@@ -15,8 +15,8 @@ namespace penumbra::prt::gltf {
 
 namespace {
 
-constexpr float kMostRadiance = 1e6f;  // brighter emission leaves the range of half floats
-constexpr float kAnyOffset = 1e6f;     // of texture coordinates
+constexpr float kMaxRadiance = 1e6f;  // brighter emission leaves the range of half floats
+constexpr float kAnyOffset = 1e6f;    // of texture coordinates
 
 // Up to four numbers of a list, those that it lacks from `fallback`.
 std::array<float, 4> numbers(const Json& of, const char* key, std::array<float, 4> fallback,
@@ -164,7 +164,7 @@ Result<void> Materials::read_maps(const Json& json, const std::string& name, Mat
 
 void Materials::read_extensions(const Json& json, const std::string& name, Material& out) {
   if (const Json* e = extension(json, "KHR_materials_emissive_strength"))
-    out.emission = out.emission * number(*e, "emissiveStrength", 1, 0, kMostRadiance);
+    out.emission = out.emission * number(*e, "emissiveStrength", 1, 0, kMaxRadiance);
   out.unlit = extension(json, "KHR_materials_unlit") != nullptr;
   if (const Json* e = extension(json, "KHR_materials_ior")) {
     const float ior = number(*e, "ior", 1.5f, 0, 10);

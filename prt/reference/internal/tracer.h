@@ -54,7 +54,7 @@ class Tracer {
   TrianglePlace place_of(const Hit& hit) const;
   float cover(const Hit& hit, const glm::vec3& d) const;
   /// Of the light that comes along a ray: 0 where something is in the way.
-  float open_share(const glm::vec3& o, const glm::vec3& d, float far = 1e30f) const;
+  float open_fraction(const glm::vec3& o, const glm::vec3& d, float far = 1e30f) const;
   const Plane* nearest_plane(const glm::vec3& o, const glm::vec3& d, float near,
                              float& distance) const;
   Rgb direct(const PathPoint& at, const MaterialLobes* lobes, PathNumbers& numbers) const;

@@ -37,10 +37,10 @@ Result<CodedPicture> run_coder(const std::function<Result<StillBytes>()>& encode
   CodedPicture out;
   Result<StillBytes> bytes = encode();
   if (bytes) out.encode_ms = timed_ms([&] { bytes = encode(); });
-  if (!bytes) return std::unexpected(bytes.error());
+  PENUMBRA_TRY(bytes);
   Result<Image<Rgb>> decoded = decode(*bytes);
   if (decoded) out.decode_ms = timed_ms([&] { decoded = decode(*bytes); });
-  if (!decoded) return std::unexpected(decoded.error());
+  PENUMBRA_TRY(decoded);
   out.bytes = bytes->size();
   out.decoded = std::move(*decoded);
   return out;
@@ -52,7 +52,7 @@ Result<CodedPicture> read_back(const std::filesystem::path& file, CodedPicture o
   std::error_code ignored;
   out.bytes = std::filesystem::file_size(file, ignored);
   std::filesystem::remove(file, ignored);
-  if (!decoded) return std::unexpected(decoded.error());
+  PENUMBRA_TRY(decoded);
   out.decoded = std::move(decoded->pixels);
   return out;
 }
@@ -150,7 +150,7 @@ Result<CodedPicture> code_as_av1_still(const Image<Rgb>& picture, int quantiser)
   Result<CodedLight> coded = CodedLight{};
   out.encode_ms =
       timed_ms([&] { coded = code_light(LightCoder::kAv1Pq, std::span(&picture, 1), quantiser); });
-  if (!coded) return std::unexpected(coded.error());
+  PENUMBRA_TRY(coded);
   out.bytes = coded->bytes;
   out.decoded = std::move(coded->maps.at(0));
   return out;
