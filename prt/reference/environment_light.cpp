@@ -1,6 +1,7 @@
 #include <fmt/format.h>
 #include <algorithm>
 #include <cmath>
+#include <limits>
 
 #include "core/conventions.h"
 #include "lighting/sh/basis.h"
@@ -11,6 +12,8 @@ namespace penumbra::prt {
 
 Result<EnvironmentLight> EnvironmentLight::from_map(const Image<Rgb>& map) {
   if (map.empty()) return fail(ErrorCode::kInvalid, "environment", "has no pixels");
+  if (map.width() > std::numeric_limits<std::uint16_t>::max())
+    return fail(ErrorCode::kInvalid, "environment", "is wider than 65535 pixels");
   EnvironmentLight light;
   light.map_ = map;
   double total = 0;
@@ -31,9 +34,12 @@ Result<EnvironmentLight> EnvironmentLight::from_map(const Image<Rgb>& map) {
       c = row > 0 ? static_cast<float>(c / row)
                   : static_cast<float>(x + 1) / static_cast<float>(map.width());
     }
+    light.add_guides(y);
     total += row;
     light.cumulative_rows_.push_back(static_cast<float>(total));
   }
+  for (int y = 0; y <= map.height(); ++y)
+    light.row_cosines_.push_back(std::cos(kPi * y / map.height()));
   if (total <= 0) return fail(ErrorCode::kUndetermined, "environment", "is black everywhere");
   for (float& r : light.cumulative_rows_) r = static_cast<float>(r / total);
   light.total_ = total;
@@ -72,6 +78,41 @@ Rgb EnvironmentLight::map_value(const glm::vec3& direction) const {
                  std::clamp(static_cast<int>(p.y), 0, map_.height() - 1));
 }
 
+namespace {
+
+// Columns for each guide: a search reads what lies in one line of the cache or two.
+constexpr int kColumnsAGuide = 8;
+
+int guides_of(int width) {
+  return (width + kColumnsAGuide - 1) / kColumnsAGuide;
+}
+
+}  // namespace
+
+void EnvironmentLight::add_guides(int row) {
+  const int width = map_.width(), guides = guides_of(width);
+  const float* const cumulative = cumulative_columns_.data() + std::ptrdiff_t{row} * width;
+  int column = 0;
+  for (int g = 0; g < guides; ++g) {
+    const float begin = static_cast<float>(g) / static_cast<float>(guides);
+    while (column < width - 1 && cumulative[column] <= begin) ++column;
+    guides_.push_back(static_cast<std::uint16_t>(column));
+  }
+}
+
+// The first column beyond the fraction.
+// source: guide tables, Chen & Asau 1974
+int EnvironmentLight::column_at(int row, float fraction) const {
+  const int width = map_.width(), guides = guides_of(width);
+  const float* const cumulative = cumulative_columns_.data() + std::ptrdiff_t{row} * width;
+  const int g = std::min(static_cast<int>(fraction * static_cast<float>(guides)), guides - 1);
+  int column = guides_[static_cast<std::size_t>(row) * static_cast<std::size_t>(guides) +
+                       static_cast<std::size_t>(g)];
+  while (column > 0 && cumulative[column - 1] > fraction) --column;  // the product was rounded up
+  while (column < width - 1 && cumulative[column] <= fraction) ++column;
+  return column;
+}
+
 EnvironmentLight::LightSample EnvironmentLight::sample(float u1, float u2) const {
   const int w = map_.width(), h = map_.height();
   const auto row = std::ranges::upper_bound(cumulative_rows_, u1);
@@ -81,18 +122,20 @@ EnvironmentLight::LightSample EnvironmentLight::sample(float u1, float u2) const
   const float v = row_fraction > 0 ? (u1 - below) / row_fraction : .5f;
 
   const auto first = cumulative_columns_.begin() + static_cast<std::ptrdiff_t>(y) * w;
-  const auto column = std::upper_bound(first, first + w, u2);
-  const int x = std::min(static_cast<int>(column - first), w - 1);
+  const int x = column_at(y, u2);
   const float left = x > 0 ? first[x - 1] : 0;
   const float fraction = first[x] - left;
   const float u = fraction > 0 ? (u2 - left) / fraction : .5f;
 
   // Uniform in solid angle inside the pixel: cos th is linear in v.
-  const double c0 = std::cos(kPi * y / h), c1 = std::cos(kPi * (y + 1) / h);
+  const double c0 = row_cosines_[static_cast<std::size_t>(y)],
+               c1 = row_cosines_[static_cast<std::size_t>(y) + 1];
   const double c = c0 + (c1 - c0) * v, s = std::sqrt(std::max(0., 1 - c * c));
   const double phi = 2 * kPi * ((x + double(u)) / w - .5);
   const glm::vec3 d(s * std::sin(phi), c, -s * std::cos(phi));
-  return {d, radiance(d), static_cast<float>(std::max(0.f, luminance(map_.at(x, y))) / total_)};
+  const Rgb& chosen = map_.at(x, y);
+  return {d, sh_ ? radiance(d) : chosen,
+          static_cast<float>(std::max(0.f, luminance(chosen)) / total_)};
 }
 
 float EnvironmentLight::density(const glm::vec3& direction) const {

@@ -2,6 +2,7 @@
 // threads: reentrant
 #pragma once
 
+#include <cstdint>
 #include <glm/vec3.hpp>
 #include <optional>
 #include <vector>
@@ -35,10 +36,15 @@ class EnvironmentLight {
 
  private:
   Rgb map_value(const glm::vec3& direction) const;
+  void add_guides(int row);
+  int column_at(int row, float fraction) const;
   Image<Rgb> map_;  // radiance, or with sh_ what it is sampled by
   std::optional<RadianceSh> sh_;
   std::vector<float> cumulative_rows_, cumulative_columns_;
-  double total_ = 0;  // of luminance times solid angle
+  // Where a row's search for a column begins: of as many equal fractions of the row as it has guides.
+  std::vector<std::uint16_t> guides_;
+  std::vector<double> row_cosines_;  // of the polar angle, above each row and below the last
+  double total_ = 0;                 // of luminance times solid angle
 };
 
 }  // namespace penumbra::prt

@@ -248,7 +248,7 @@ TEST_F(BakedFile, DamagedDescriptionsAreErrors) {
   EXPECT_EQ(code("\"size\":9", "\"size\":1"), ErrorCode::kUnreadable);
   EXPECT_EQ(code("\"count\":60", "\"count\":0"), ErrorCode::kUnreadable) << "no vertices";
   EXPECT_EQ(code("\"deficit\":", "\"surplus\":"), ErrorCode::kUnreadable);
-  EXPECT_EQ(code("\"version\":5", "\"version\":4"), ErrorCode::kInvalid) << "another version";
+  EXPECT_EQ(code("\"version\":6", "\"version\":5"), ErrorCode::kInvalid) << "another version";
   EXPECT_EQ(code("\"visibility\":", "\"visibility\":7,\"x\":"), ErrorCode::kUnreadable);
   EXPECT_EQ(code("\"receiver\":", "\"receiver\":7,\"x\":"), ErrorCode::kUnreadable);
   EXPECT_EQ(code("\"fine\":", "\"open\":"), ErrorCode::kUnreadable) << "no finer cells";
