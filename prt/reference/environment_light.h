@@ -41,7 +41,7 @@ class EnvironmentLight {
   Image<Rgb> map_;  // radiance, or with sh_ what it is sampled by
   std::optional<RadianceSh> sh_;
   std::vector<float> cumulative_rows_, cumulative_columns_;
-  // Where a row's search for a column begins: of as many equal fractions of the row as it has guides.
+  // Where a row's search for a column begins, for each of as many equal fractions of the row.
   std::vector<std::uint16_t> guides_;
   std::vector<double> row_cosines_;  // of the polar angle, above each row and below the last
   double total_ = 0;                 // of luminance times solid angle
