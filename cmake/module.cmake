@@ -33,7 +33,7 @@ if(CMAKE_CXX_COMPILER_ID MATCHES Clang)
 elseif(CMAKE_CXX_COMPILER_ID STREQUAL GNU)
   set(penumbra_compiler_options --param=ggc-min-heapsize=1048576)
 endif()
-# No one reads errno after a square root or a sine, and with it loops of them are not vectorised.
+# No one reads errno after a square root, and with it loops of them are not vectorised.
 list(APPEND penumbra_compiler_options -fno-math-errno)
 target_compile_options(penumbra_options INTERFACE "$<BUILD_INTERFACE:${penumbra_compiler_options}>")
 # Programs include <penumbra/...>, and so do installed headers (install.cmake).

@@ -4,7 +4,8 @@
 usage: names_test.py ROOT
 
 No two product files define a type of the same name. Nested types count, `struct X::Impl` does not.
-No two test programs have a suite of the same name. Constants that bound something are kMax or kMin.
+No two test programs have a suite of the same name. No constant is called
+kMost, kLeast, kMaximum or kMinimum: kMax, kMin.
 Each table of TOML keys or JSON names in docs/reference/ holds what the code of that very table
 reads or writes, and nothing else. docs/accuracy.csv has the columns of the chart. Every check first
 runs on made-up faults: one that sees nothing cannot pass.
@@ -180,7 +181,7 @@ def shared_suites(tests):
 
 
 def old_bounds(files):
-    """Constants that bound something and are not named kMax... or kMin...."""
+    """Constants that say kMost or kLeast for kMax or kMin."""
     return [f"{path}: {name}: kMax or kMin"
             for path, text in files.items() for name in sorted(set(OLD_BOUND.findall(NOISE.sub("", text))))]
 

@@ -7,8 +7,8 @@ usage: report.py [--all] EXPECTED_SKIPS CTEST_OUTPUT LAST_TEST_LOG SHARED_DATA_F
 
 CTest's output tells how tests ended, its log what they printed: one of them may be a suite of
 GoogleTest, whose cases are counted; the last line is "N passed, N failed". A GoogleTest program's own
-brief output tells skipped tests alone. Expected reasons that end in "without the shared data" count
-only where that folder is absent, those that end in "without --all" only where that is not given.
+brief output tells skipped tests alone. Expected reasons count always, or "without the shared data"
+only where that folder is absent, or "without --all" only where that is not given.
 """
 import re
 import sys

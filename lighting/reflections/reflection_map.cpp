@@ -182,7 +182,7 @@ ReflectionFilter::ReflectionFilter(const SurfaceRoughness& asked) {
   spots_ = pyramid_;
 }
 
-// Each sample stands for its fraction of the lobe, and reads where texels are as large. Small
+// Each sample stands for a solid angle of the lobe, and reads where texels are as large. Small
 // pictures afford more of them.
 // source: Krivanek & Colbert 2008
 std::vector<ReflectionFilter::LobeSample> ReflectionFilter::lobe_of(float roughness, int size,
@@ -197,8 +197,8 @@ std::vector<ReflectionFilter::LobeSample> ReflectionFilter::lobe_of(float roughn
   for (const glm::vec3& m : ggx_half_vectors(alpha, count)) {
     const glm::vec3 towards(2 * m.z * m.x, 2 * m.z * m.y, 2 * m.z * m.z - 1);
     if (towards.z <= 0) continue;
-    const float fraction = 4 / (static_cast<float>(count) * ggx_density(alpha, m.z));
-    const float level = .5f * std::log2(fraction / texel);
+    const float solid_angle = 4 / (static_cast<float>(count) * ggx_density(alpha, m.z));
+    const float level = .5f * std::log2(solid_angle / texel);
     out.push_back(
         {towards, towards.z, std::clamp(static_cast<int>(std::lround(level)), 0, halvings)});
     sum += towards.z;

@@ -19,7 +19,7 @@ namespace penumbra::prt {
 class EnvironmentLight {
  public:
   /// A lat-long map, sampled by importance.
-  /// errors: kInvalid, kNonFinite, kUndetermined (all black)
+  /// errors: kInvalid (empty, wider than 65535 pixels), kNonFinite, kUndetermined (all black)
   static Result<EnvironmentLight> from_map(const Image<Rgb>& map);
   /// Truncated spherical harmonics, negative lobes kept; sampled by their magnitude.
   static EnvironmentLight from_sh(const RadianceSh& light);
@@ -41,7 +41,8 @@ class EnvironmentLight {
   Image<Rgb> map_;  // radiance, or with sh_ what it is sampled by
   std::optional<RadianceSh> sh_;
   std::vector<float> cumulative_rows_, cumulative_columns_;
-  // Where a row's search for a column begins, for each of as many equal fractions of the row.
+  // Where a row's search for a column begins, for each of an eighth as many equal fractions of the
+  // row as it has columns.
   std::vector<std::uint16_t> guides_;
   std::vector<double> row_cosines_;  // of the polar angle, above each row and below the last
   double total_ = 0;                 // of luminance times solid angle

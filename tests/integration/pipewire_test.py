@@ -150,11 +150,13 @@ class PipeWire(unittest.TestCase):
                  for i in range(len(places) - 1)]
         # Each frame comes once and in its order; on a machine that is busy some are left out.
         self.assertTrue(all(step >= 1 for step in steps), (places, times))
+        self.assertTrue(all(abs(step - (times[i + 1] - times[i]) * RATE_HZ) < 3 for i, step in enumerate(steps)),
+                        (places, times))
         return steps
 
     @staticmethod
     def step_at(periods, places):
-        """What is nearest to so many periods of those numbers that are `places` beyond a multiple of sixteen."""
+        """The number congruent to `places` modulo sixteen that is nearest to `periods`."""
         return places + 16 * round((periods - places) / 16)
 
     def check_times(self, times, steps):

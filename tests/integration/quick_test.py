@@ -76,6 +76,8 @@ class Quick(CliTest):
         self.assertEqual(now["objects"][0]["position_m"], [0, 0, 0])
         self.assertEqual(now["pose"]["trouble"], "")
         self.assertLess(now["pose"]["age_s"], .1)
+        self.assertGreater(now["pose"]["accepted"], 0)
+        self.assertEqual(now["pose"]["rejected"], 0)
         # The paper has the code 225, so it sends .75 of full scale: the map of 8 is dimmed to that.
         mean = now["light"]["mean_radiance"]
         for channel in mean:

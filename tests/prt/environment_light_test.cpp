@@ -54,6 +54,8 @@ TEST(EnvironmentLight, RefusesMapsThatCannotLight) {
   map.at(3, 2).b = INFINITY;
   EXPECT_EQ(EnvironmentLight::from_map(map).error().code, ErrorCode::kNonFinite);
   EXPECT_EQ(EnvironmentLight::from_map({}).error().code, ErrorCode::kInvalid);
+  EXPECT_EQ(EnvironmentLight::from_map(Image<Rgb>(65536, 1, {1, 1, 1})).error().code,
+            ErrorCode::kInvalid);
   EXPECT_EQ(EnvironmentLight::from_map(Image<Rgb>(8, 4)).error().code, ErrorCode::kUndetermined);
 }
 

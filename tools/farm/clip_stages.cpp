@@ -12,7 +12,7 @@ namespace {
 
 // A shard of that length loses little when it is begun again, and hides what it takes to begin.
 constexpr double kShard_s = 600;
-constexpr int kMaxFilesOfShards = 64;
+constexpr int kMaxClipShards = 64;
 // Times are asked for thrice over: cores differ, and frames do, too.
 constexpr double kTimeMargin = 3;
 constexpr std::uint64_t kSpareBytes = std::uint64_t{256} << 20;
@@ -34,7 +34,7 @@ Result<ClipEstimate> estimate_clip(const prt::Character& character, int clip,
 
 int shards_for(const ClipEstimate& e) {
   return std::clamp(static_cast<int>(std::ceil(e.frames * e.frame_s / kShard_s)), 1,
-                    std::min(e.frames, kMaxFilesOfShards));
+                    std::min(e.frames, kMaxClipShards));
 }
 
 SlurmStage clip_array(const ClipEstimate& e, std::vector<std::string> arguments, int shards,

@@ -113,7 +113,7 @@ Result<void> make_shard(const fs::path& file,
     PENUMBRA_ASSIGN(whole, is_whole(file));
     if (!whole)
       return fail(ErrorCode::kUnwritable, file.string(),
-                  "holds a damaged file that another attempt left; remove it");
+                  "is damaged: another attempt left it so; remove it");
   }
   remove_attempts(file);
   return {};
