@@ -49,7 +49,7 @@ TEST(Still, PixelsThatNothingReachesAreTheSameToTheBit) {
 
 // A pixel at an object's edge shows the fraction that the object covers: over a black and a white
 // backdrop the pictures differ by what is left of it. Sixteen samples know sixteenths of it alone.
-TEST(Still, EdgesKnowFinerSharesThanOnePassHas) {
+TEST(Still, EdgesKnowFinerFractionsThanOnePassHas) {
   const auto scene = test::prepared({{test::twist({0, 0, 0})}, {}});
   ASSERT_TRUE(scene) << scene.error().detail;
   const auto shown = [&](float backdrop) {
