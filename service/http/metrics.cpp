@@ -148,8 +148,8 @@ void add_outputs(const PublishedState::Snapshot& s, Metrics& m) {
 void add_pose(const PublishedState::Snapshot& s, Metrics& m) {
   if (!s.pose) return;
   m.begin("penumbra_poses_total", "counter", "Poses of the source by what became of them.");
-  m.add(static_cast<double>(s.pose->taken), "result=\"accepted\"");
-  m.add(static_cast<double>(s.pose->refused), "result=\"rejected\"");
+  m.add(static_cast<double>(s.pose->accepted), "result=\"accepted\"");
+  m.add(static_cast<double>(s.pose->rejected), "result=\"rejected\"");
   m.gauge("penumbra_pose_opacity", "Opacity of what is virtual: below 1 while its pose is old.",
           s.pose->opacity);
 }

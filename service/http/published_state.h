@@ -48,7 +48,7 @@ class PublishedState {
   struct PoseState {
     std::string name;
     std::optional<double> age_s;  // of the newest pose; nothing before the first
-    std::uint64_t taken = 0, refused = 0;
+    std::uint64_t accepted = 0, rejected = 0;
     std::uint64_t left_out = 0;  // environment frames without a pose
     double opacity = 1;          // of what is virtual in the newest frame
     std::string trouble;
@@ -58,7 +58,7 @@ class PublishedState {
   struct HeadsetView {
     std::string phase, runtime, headset;  // phase: "running", "idle" or "lost"
     double rate_hz = 0;
-    std::uint64_t shown = 0, overtaken = 0, unmatched = 0, unplaced = 0, refused = 0, restarts = 0;
+    std::uint64_t shown = 0, overtaken = 0, unmatched = 0, unplaced = 0, rejected = 0, restarts = 0;
     std::string trouble;
     std::vector<std::pair<std::string, StageTimes::Percentiles>> latency;
   };

@@ -42,7 +42,7 @@ json preparing_json(const PublishedState::Snapshot& s) {
 
 json pose_json(const PublishedState::PoseState& p) {
   return {{"source", p.name},       {"age_s", p.age_s ? json(*p.age_s) : json(nullptr)},
-          {"accepted", p.taken},    {"rejected", p.refused},
+          {"accepted", p.accepted}, {"rejected", p.rejected},
           {"left_out", p.left_out}, {"opacity", p.opacity},
           {"trouble", p.trouble}};
 }
@@ -50,7 +50,7 @@ json pose_json(const PublishedState::PoseState& p) {
 json headset_json(const PublishedState::HeadsetView& h) {
   json out = {{"phase", h.phase},         {"runtime", h.runtime},   {"headset", h.headset},
               {"rate_hz", h.rate_hz},     {"shown", h.shown},       {"overtaken", h.overtaken},
-              {"unmatched", h.unmatched}, {"unplaced", h.unplaced}, {"rejected", h.refused},
+              {"unmatched", h.unmatched}, {"unplaced", h.unplaced}, {"rejected", h.rejected},
               {"restarts", h.restarts},   {"trouble", h.trouble},   {"latency", json::object()}};
   for (const auto& [name, p] : h.latency)
     out["latency"][name] = {{"p50_ms", p.p50_ms}, {"p99_ms", p.p99_ms}, {"count", p.count}};
