@@ -158,9 +158,10 @@ void Compositor::show(int object, bool visible) {
 }
 
 void Compositor::set_light(int object, std::span<const float> relit,
-                           const shadows::PlanarShadow& shadow, const Rgb& of_open) {
+                           const shadows::PlanarShadow& shadow, const Rgb& of_open,
+                           const EdgedLight* edged) {
   impl_->context->make_current();
-  impl_->layers->set_light(object, relit);
+  impl_->layers->set_light(object, relit, edged);
   if (const int r = impl_->receiver_of[static_cast<std::size_t>(object)]; r >= 0)
     impl_->receivers.set_shadow(r, shadow, of_open);
 }

@@ -15,6 +15,7 @@
 #include <vector>
 
 #include "compositor/composite_stats.h"
+#include "compositor/edged_light.h"
 #include "compositor/surroundings.h"
 #include "compositor/view.h"
 #include "core/image.h"
@@ -73,9 +74,10 @@ class Compositor {
   void show(int object, bool visible);
   /// Relit transfer (prt::relight's layout) and shadow. An object without receiver gets an empty
   /// shadow. of_open: the light that the shadow's ratio is of, over that of the open plane; below 1
-  /// where real things keep some of it from the object.
+  /// where real things keep some of it from the object. edged: of the object's vertices; null: no
+  /// light is apart.
   void set_light(int object, std::span<const float> relit, const shadows::PlanarShadow& shadow,
-                 const Rgb& of_open = {1, 1, 1});
+                 const Rgb& of_open = {1, 1, 1}, const EdgedLight* edged = nullptr);
   /// What objects with materials (prt::BakedObject::surface) mirror from now on.
   void set_surroundings(const Surroundings& surroundings);
   /// What of each of Surroundings::lights comes to an object's vertices, 0..1; 1 at first, and for

@@ -82,10 +82,11 @@ layout(location = 6) in vec4 coordinates;
 layout(location = 7) in vec3 vertex_tint;
 layout(location = 8) in vec4 light_fractions;
 layout(location = 9) in vec4 open_towards;
+layout(location = 10) in vec4 edged_light;
 uniform mat4 world_from_object;
 centroid out vec3 light, at, up;
 centroid out vec3 tint;
-centroid out vec4 along, place, fractions, openness;
+centroid out vec4 along, place, fractions, openness, edged;
 void main() {
   light = irradiance;
   at = (world_from_object * vec4(position, 1)).xyz;
@@ -95,6 +96,7 @@ void main() {
   tint = vertex_tint;
   openness = vec4(open_towards.x, mat3(world_from_object) * open_towards.yzw);
   fractions = light_fractions;
+  edged = edged_light;
   gl_Position = place_in_picture(position);
 })";
 
@@ -103,7 +105,7 @@ void main() {
 inline constexpr const char* kGlossyFragment = R"(
 centroid in vec3 light, at, up;
 centroid in vec3 tint;
-centroid in vec4 along, place, fractions, openness;
+centroid in vec4 along, place, fractions, openness, edged;
 uniform float signal_per_radiance, emission_unit;
 uniform vec3 eye;
 uniform vec4 base_colour;
@@ -257,6 +259,7 @@ vec3 along_lobe(vec3 n, vec3 v, float n_dot_v, float alpha, float place, vec3 ot
 #endif
 
 void main() {
+  vec3 of_edged = light_beside_edge(edged);  // before anything is discarded
 #ifdef CUT
   if (!is_shown()) discard;
 #endif
@@ -284,7 +287,7 @@ void main() {
   at_long_level = level_of(NARROW_LOBE * rough);
 #endif
 #endif
-  vec3 plain = normalize(up), n = plain, diffuse_light = light;
+  vec3 plain = normalize(up), n = plain, diffuse_light = light + of_edged;
   float occlusion = 1.0;
 #ifdef NORMAL_MAP
   vec3 lean = texture(normal_map, place_of(2)).xyz * 2.0 - 1.0;

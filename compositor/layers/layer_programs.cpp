@@ -67,23 +67,35 @@ bool is_shown() {
 }
 )";
 
+// An edge is no sharper than a pixel. a: as EdgedLight::lit.
+constexpr const char* kBesideEdge = R"(
+vec3 light_beside_edge(vec4 e) {
+  return e.rgb * clamp(0.5 + (e.a - 0.5) / max(fwidth(e.a), 1.0), 0.0, 1.0);
+}
+)";
+
 constexpr const char* kObjectVertex = R"(
 layout(location = 0) in vec3 position;
 layout(location = 1) in vec3 radiance;
+layout(location = 10) in vec4 edged_light;
 uniform float signal_per_radiance;
 out vec3 signal;
+out vec4 edged;
 void main() {
   signal = signal_per_radiance * radiance;
+  edged = vec4(signal_per_radiance * edged_light.rgb, edged_light.a);
   gl_Position = place_in_picture(position);
 })";
 
 // Back faces are black, as in the bake and in the reference.
 constexpr const char* kObjectFragment = R"(
 in vec3 signal;
+in vec4 edged;
 out vec4 colour;
 void main() {
+  vec3 shown = signal + light_beside_edge(edged);
   if (!is_shown()) discard;
-  colour = with_foreground(vec4(gl_FrontFacing ? min(signal, 1000.0) : vec3(0), 1));
+  colour = with_foreground(vec4(gl_FrontFacing ? min(shown, 1000.0) : vec3(0), 1));
 }
 )";
 
@@ -94,22 +106,27 @@ layout(location = 0) in vec3 position;
 layout(location = 1) in vec3 radiance;
 layout(location = 2) in vec2 albedo_place;
 layout(location = 3) in vec2 light_place;
+layout(location = 10) in vec4 edged_light;
 uniform float signal_per_radiance;
 out vec3 signal;
+out vec4 edged;
 out vec2 in_albedo, in_light;
 void main() {
   signal = signal_per_radiance * radiance;
+  edged = vec4(signal_per_radiance * edged_light.rgb, edged_light.a);
   in_albedo = albedo_place;
   in_light = light_place;
   gl_Position = place_in_picture(position);
 })";
 constexpr const char* kTexturedFragment = R"(
 in vec3 signal;
+in vec4 edged;
 in vec2 in_albedo, in_light;
 uniform sampler2D albedo_map, light_map;
 out vec4 colour;
 void main() {
-  vec3 shown = signal * texture(albedo_map, in_albedo).rgb * texture(light_map, in_light).rgb;
+  vec3 shown = (signal + light_beside_edge(edged)) * texture(albedo_map, in_albedo).rgb *
+               texture(light_map, in_light).rgb;
   if (!is_shown()) discard;
   colour = with_foreground(vec4(gl_FrontFacing ? min(shown, 1000.0) : vec3(0), 1));
 }
@@ -175,7 +192,7 @@ std::string vertex_head(bool lens, bool cut) {
 }
 std::string fragment_head(bool cut, bool foreground) {
   return std::string(kVersion) + (cut ? kCutFragment : kWholeFragment) +
-         (foreground ? kBehindForeground : kNoForeground);
+         (foreground ? kBehindForeground : kNoForeground) + kBesideEdge;
 }
 
 }  // namespace

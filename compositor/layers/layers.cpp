@@ -43,6 +43,15 @@ std::array<glm::dvec3, 8> corners_of(const prt::Bounds& bounds) {
            {b.x, b.y, b.z}}};
 }
 
+// At a vertex of the object's own, all but the edged light.
+Rgb light_at(std::span<const float> relit, std::size_t stride, std::size_t vertex,
+             const EdgedLight* edged) {
+  Rgb out{relit[vertex], relit[stride + vertex], relit[2 * stride + vertex]};
+  if (edged) out = out - edged->radiance * edged->cosine[vertex];
+  for (int c = 0; c < 3; ++c) out[c] = std::max(out[c], 0.f);
+  return out;
+}
+
 GLsizeiptr bytes_of(const auto& v) {
   return static_cast<GLsizeiptr>(v.size() * sizeof(v[0]));
 }
@@ -228,19 +237,19 @@ void Layers::show(int object, bool visible) {
   if (std::exchange(o.visible, visible) != visible) o.changed = true;
 }
 
-void Layers::set_light(int object, std::span<const float> relit) {
+void Layers::set_light(int object, std::span<const float> relit, const EdgedLight* edged) {
   DrawnObject& o = objects_[static_cast<std::size_t>(object)];
   if (o.light_map) {
     fill_light_map(*o.light_map, relit, o.stride, o.albedo);
     o.changed = true;
     return;
   }
-  if (o.drawn_vertices.fine()) return set_fine_light(o, relit);
+  o.changed |= o.edged.set(edged, o.albedo, o.fine_albedo, o.drawn_vertices, o.geometry);
+  if (o.drawn_vertices.fine()) return set_fine_light(o, relit, edged);
   bool changed = false;
   const std::size_t own = o.albedo.size(), all = o.colours.size();
   for (std::size_t i = 0; i < own; ++i) {
-    const auto lit = [&](std::size_t c) { return std::max(relit[c * o.stride + i], 0.f); };
-    const Rgb colour{o.albedo[i].r * lit(0), o.albedo[i].g * lit(1), o.albedo[i].b * lit(2)};
+    const Rgb colour = o.albedo[i] * light_at(relit, o.stride, i, edged);
     changed |= !(colour == o.colours[i]);
     o.colours[i] = colour;
   }
@@ -254,11 +263,9 @@ void Layers::set_light(int object, std::span<const float> relit) {
   o.changed = true;
 }
 
-void Layers::set_fine_light(DrawnObject& o, std::span<const float> relit) {
+void Layers::set_fine_light(DrawnObject& o, std::span<const float> relit, const EdgedLight* edged) {
   std::vector<Rgb> lit(o.albedo.size());
-  for (std::size_t i = 0; i < lit.size(); ++i)
-    lit[i] = {std::max(relit[i], 0.f), std::max(relit[o.stride + i], 0.f),
-              std::max(relit[2 * o.stride + i], 0.f)};
+  for (std::size_t i = 0; i < lit.size(); ++i) lit[i] = light_at(relit, o.stride, i, edged);
   if (lit == o.lit) return;
   o.lit = std::move(lit);
   o.colours = o.lit;
@@ -436,6 +443,7 @@ Result<void> Layers::prepare_programs(const View& view) {
 
 void Layers::draw_objects(const View& view, const ViewProjection& from_world, const Rect& region,
                           bool seen_alone) {
+  EdgedVertices::draw_without();
   for (DrawnObject& o : objects_) {
     if (o.glossy || !o.visible || !meet(reach_of(o, from_world), region)) continue;
     const GLuint program = use_program(view, from_world, o);

@@ -7,9 +7,11 @@
 #include <span>
 #include <vector>
 
+#include "compositor/edged_light.h"
 #include "compositor/layers/canvas.h"
 #include "compositor/layers/contour.h"
 #include "compositor/layers/drawn_vertices.h"
+#include "compositor/layers/edged_vertices.h"
 #include "compositor/layers/gl/gl.h"
 #include "compositor/layers/glossy.h"
 #include "compositor/layers/layer_programs.h"
@@ -31,7 +33,8 @@ class Layers {
   void update_vertices(int object, const prt::Mesh& mesh);
   void set_pose(int object, const Pose& world_from_bake);
   void show(int object, bool visible);
-  void set_light(int object, std::span<const float> relit);
+  /// As of Compositor.
+  void set_light(int object, std::span<const float> relit, const EdgedLight* edged = nullptr);
   /// As of Compositor.
   void set_surroundings(const Surroundings& surroundings);
   void set_light_fractions(int object, std::span<const std::array<float, 4>> fractions);
@@ -79,6 +82,7 @@ class Layers {
     std::vector<glm::vec3> positions{};
     std::vector<Rgb> albedo;   // by vertex of the object's own
     std::vector<Rgb> colours;  // by vertex that GL draws: radiance as lit now
+    EdgedVertices edged{};
     // Of an object with a fine form: by vertex that GL draws, and by its own as lit now
     std::vector<Rgb> fine_albedo{}, lit{};
     GLsizei index_count = 0, seen_count = 0;
@@ -133,7 +137,8 @@ class Layers {
   void draw_occluders(const ViewProjection& from_world);
   void draw_hiding_planes(const glm::dvec3& eye, const ViewProjection& from_world);
   EdgeMiddles refine(prt::Mesh& mesh) const;
-  static void set_fine_light(DrawnObject& object, std::span<const float> relit);
+  static void set_fine_light(DrawnObject& object, std::span<const float> relit,
+                             const EdgedLight* edged);
   static void upload_coordinates(const DrawnObject& object, GLuint buffer, GLuint location,
                                  std::span<const glm::vec2> coordinates);
   std::vector<glm::dvec4> hiding_planes(const DrawnObject& object,

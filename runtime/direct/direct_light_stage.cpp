@@ -21,6 +21,7 @@ namespace {
 // shadow from half a metre's height.
 constexpr double kMinMove = 1e-3;
 constexpr double kVisibleFraction = .005;
+constexpr double kGoodDeal = .7;  // what does not change back and forth
 // Of an object's radius, for shadows on planes: of a cell of its shadow's map a fifteenth, an
 // eighth under light from above. As much of the larger cells, about, for wide lights.
 constexpr std::array<float, 2> kCoarse = {1e-3f, 2e-3f};
@@ -50,6 +51,30 @@ Rgb fraction_of(const lighting::DistantLight& source, const prt::Plane& plane,
   for (int c = 0; c < 3; ++c)
     fraction[c] = open_irradiance[c] > 0 ? std::clamp(e[c] / open_irradiance[c], 0.f, 1.f) : 0;
   return fraction;
+}
+
+// Radiance of a white surface that faces the light.
+Rgb white_under(const lighting::DistantLight& source) {
+  return source.radiance * static_cast<float>(source.solid_angle_sr() / kPi);
+}
+
+// By id; none: no light is narrow. The one before stays while it is not much weaker.
+std::optional<int> strongest_narrow(std::span<const lighting::DistantLight> lights,
+                                    std::optional<int> before) {
+  const auto weight = [&](const lighting::DistantLight& source) {
+    const float irradiance = luminance(source.irradiance());
+    return source.id == before ? irradiance / kGoodDeal : irradiance;
+  };
+  const lighting::DistantLight* strongest = nullptr;
+  for (const lighting::DistantLight& source : lights)
+    if (!shadows::is_wide(source) && (!strongest || weight(source) > weight(*strongest)))
+      strongest = &source;
+  return strongest ? std::optional(strongest->id) : std::nullopt;
+}
+
+// Otherwise its light is in a picture.
+bool drawn_by_vertices(const PreparedObject& o) {
+  return !o.animation || o.animation->layout.texels.empty();
 }
 
 // As much of a plane as a shadow can come from, and where it lies: its own frame has the normal as
@@ -302,6 +327,7 @@ void DirectLightStage::trace(TracedLight& t, bool all) {
   around_.clear();
   memo_.clear();
   t.cosine.resize(scene_->objects.size());
+  t.edged.resize(scene_->objects.size());
   for (std::size_t i = 0; i < scene_->objects.size(); ++i) {
     if (!visible_[i]) continue;
     const PreparedObject& o = scene_->objects[i];
@@ -314,8 +340,11 @@ void DirectLightStage::trace(TracedLight& t, bool all) {
     // half would show (walker: 3.2 %).
     const int sampling =
         virtual_casters_[i].visibility ? t.detail.object_samples : sampling_.object;
+    const bool with_edges = t.source.id == with_edges_ && drawn_by_vertices(o);
     shadows::trace_direct_light(all_rays(), casters(), virtual_casters_[i],
-                                o.baked.receiver ? &own : nullptr, t.source, sampling, t.cosine[i]);
+                                o.baked.receiver ? &own : nullptr, t.source, sampling, t.cosine[i],
+                                with_edges ? &t.edged[i] : nullptr);
+    if (!with_edges) t.edged[i].open.clear(), t.edged[i].lit.clear();
   }
   trace_planes(t);
 }
@@ -325,7 +354,6 @@ void DirectLightStage::trace(TracedLight& t, bool all) {
 DirectLightStage::TracedDetail DirectLightStage::detail_for(const lighting::DistantLight& source,
                                                             bool fine, const OpenLight& open,
                                                             const TracedDetail& before) const {
-  constexpr double kGoodDeal = .7;
   const auto of_plane = [](double fraction) {
     return fraction >= .5 ? 1 : fraction >= .25 ? .5 : .25;
   };
@@ -372,6 +400,7 @@ bool DirectLightStage::update(std::span<const lighting::DistantLight> lights,
   const bool poses_changed =
       !passed_.empty() ||
       std::ranges::any_of(moved_from_, [](const auto& p) { return p.has_value(); });
+  with_edges_ = strongest_narrow(lights, with_edges_);
   std::swap(traced_, before_);
   traced_.clear();
   changed_.assign(scene_->objects.size(), 0);
@@ -398,7 +427,8 @@ bool DirectLightStage::update(std::span<const lighting::DistantLight> lights,
     if (anew || poses_changed) {
       trace(t, anew);
       changed = true;
-    } else if (change <= kVisibleFraction * mean_irradiance) {
+    }
+    if (!anew && change <= kVisibleFraction * mean_irradiance) {
       t.source.radiance = before.radiance;  // small changes add up until they are seen
       t.source.radius = before.radius;
     }
@@ -416,7 +446,7 @@ void DirectLightStage::add_light(std::size_t object, std::span<float> relit) con
   const std::size_t stride = relit.size() / 3;
   for (const TracedLight& t : traced_) {
     const std::vector<float>& cosine = t.cosine[object];
-    const Rgb scale = t.source.radiance * static_cast<float>(t.source.solid_angle_sr() / kPi);
+    const Rgb scale = white_under(t.source);
     for (std::size_t c = 0; c < 3; ++c) {
       float* const out = &relit[c * stride];
       const float k = scale[static_cast<int>(c)];
@@ -425,16 +455,26 @@ void DirectLightStage::add_light(std::size_t object, std::span<float> relit) con
   }
 }
 
+std::optional<compositor::EdgedLight> DirectLightStage::edged_light(std::size_t object) const {
+  // Another one may have become the strongest since it was traced.
+  const auto known = std::ranges::find_if(
+      traced_, [&](const TracedLight& t) { return !t.edged[object].lit.empty(); });
+  if (known == traced_.end()) return std::nullopt;
+  const auto& [open, lit] = known->edged[object];
+  return compositor::EdgedLight{white_under(known->source), known->cosine[object], open, lit};
+}
+
 void DirectLightStage::visible_fractions(std::size_t source, std::size_t object,
                                          std::span<float> out) const {
   constexpr float kGrazing = .02f;  // of a surface that looks away there is nothing to compare
   const TracedLight& t = traced_[source];
-  const std::vector<float>& cosine = t.cosine[object];
+  const std::vector<float>&cosine = t.cosine[object], &lit = t.edged[object].lit;
   const std::vector<glm::vec3>& normals = scene_->objects[object].baked.mesh.normals;
   const glm::vec3 towards(glm::conjugate(poses_[object].rotation) * t.source.direction);
   for (std::size_t v = 0; v < std::min(out.size(), cosine.size()); ++v) {
     const float open = glm::dot(normals[v], towards);
-    out[v] = open > kGrazing ? std::clamp(cosine[v] / open, 0.f, 1.f) : 1;
+    const float fraction = lit.empty() ? cosine[v] / open : lit[v];
+    out[v] = open > kGrazing ? std::clamp(fraction, 0.f, 1.f) : 1;
   }
 }
 

@@ -21,6 +21,7 @@
 #include "shadows/silhouette/shadow_map.h"
 #include "shadows/silhouette/silhouette_cache.h"
 #include "shadows/silhouette/silhouette_mesh.h"
+#include "shadows/visibility/direct_light.h"
 
 namespace penumbra::runtime {
 
@@ -76,6 +77,8 @@ class DirectLightStage {
 
   /// Adds the lights' direct light to exit radiance for a unit albedo, in prt::relight's layout.
   void add_light(std::size_t object, std::span<float> relit) const;
+  /// Of what add_light() adds, the light whose shadow on the object is drawn finer than its mesh.
+  std::optional<compositor::EdgedLight> edged_light(std::size_t object) const;
   /// What of a light (by its place in update()'s list) comes to each vertex of an object, 0..1; 1
   /// where the surface looks away from it.
   void visible_fractions(std::size_t source, std::size_t object, std::span<float> out) const;
@@ -110,6 +113,7 @@ class DirectLightStage {
     lighting::DistantLight::Shape shape{};
     double radius = 0;
     std::vector<std::vector<float>> cosine;                 // by object, by vertex
+    std::vector<shadows::EdgedFractions> edged;             // by object
     std::vector<std::vector<std::uint8_t>> hit_shade;       // by object, by probe hit
     std::vector<std::uint32_t> hits_version;                // by object: of the hits that it shades
     std::vector<std::vector<shadows::ShadowMap>> on_plane;  // by plane, by group of objects
@@ -159,7 +163,8 @@ class DirectLightStage {
   std::vector<char> visible_;
   std::vector<char> changed_;  // by object, see changed()
   std::vector<TracedLight> traced_, before_;
-  std::vector<prt::Mesh> quads_;  // as much of each plane as a shadow can come from
+  std::optional<int> with_edges_;  // the light, by its id, whose shadows' edges are looked for
+  std::vector<prt::Mesh> quads_;   // as much of each plane as a shadow can come from
   std::vector<shadows::SilhouetteMesh> silhouettes_;  // of the objects, then of real things
   std::vector<shadows::SilhouetteMesh> coarse_;       // of those that keep their form
   std::vector<prt::VisibilityLookup> visibilities_;   // of those of which it was baked

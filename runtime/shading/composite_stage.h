@@ -173,6 +173,7 @@ class CompositeStage {
     std::optional<Pose> pose_seen{};
     std::uint32_t hits_seen = 0;
     bool renewed = false;  // in this update
+    bool lit_by_lights = false;
     const shadows::PlanarShadow& shown() const { return shares ? shared : shadow; }
   };
   struct ViewCamera {

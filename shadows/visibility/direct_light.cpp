@@ -9,6 +9,7 @@
 #include "prt/transfer/visibility_map.h"
 #include "shadows/silhouette/light_rays.h"
 #include "shadows/silhouette/place_kernel.h"
+#include "shadows/visibility/internal/shadow_edge.h"
 #include "shadows/visibility/internal/vertex_smoothing.h"
 #include "shadows/visibility/internal/visibility_light.h"
 
@@ -353,7 +354,8 @@ void smooth_occlusion(const prt::Mesh& mesh, const lighting::DistantLight& sourc
 
 void trace_direct_light(const RayOccluders& occluders, const ShadowCasters& casters,
                         const Caster& object, const prt::Plane* plane,
-                        const lighting::DistantLight& source, int samples, std::span<float> out) {
+                        const lighting::DistantLight& source, int samples, std::span<float> out,
+                        EdgedFractions* edged) {
   const prt::Mesh& mesh = *object.mesh;
   // All memory grows once per thread.
   thread_local SamplePattern all, pattern_memory;
@@ -364,6 +366,10 @@ void trace_direct_light(const RayOccluders& occluders, const ShadowCasters& cast
   const std::size_t count = mesh.positions.size();
   const LookupUse use = lookup_use(object, source, samples);
   const bool looked_up = use == LookupUse::kCoarse || use == LookupUse::kFine;
+  const glm::vec3 middle(source.direction);
+  if (edged) edged->open.clear(), edged->lit.clear();
+  const bool with_edges = edged && !looked_up && !is_wide(source) && !behind(plane, middle) &&
+                          !penumbra_exceeds_edges(source, *object.silhouette);
   const Scratch::Scope scope;
   const CastersBetween others(casters, object, source, scope.memory());
   const bool averaged =
@@ -399,6 +405,14 @@ void trace_direct_light(const RayOccluders& occluders, const ShadowCasters& cast
   parallel_for(std::size_t{0}, count, 1024, [&](const auto& part) {
     whole.light(std::span(mesh.normals).subspan(part.begin(), part.size()),
                 out.subspan(part.begin(), part.size()));
+  });
+  if (with_edges) {
+    edged->open.resize(count);
+    std::ranges::transform(out, edged->open.begin(), [&](float o) { return fraction * o; });
+    edged->lit.resize(count);
+    find_shadow_edge(occluders, mesh, object.world_from_mesh, middle, sums, edged->lit);
+  }
+  parallel_for(std::size_t{0}, count, 4096, [&](const auto& part) {
     for (std::size_t i = part.begin(); i < part.end(); ++i)
       out[i] = sums[i].seen <= 0 ? 0 : fraction * sums[i].seen / sums[i].open * out[i];
   });

@@ -103,6 +103,18 @@ Scene beside_real_mesh(const std::filesystem::path& folder) {
   return {{twist({-.12, 0, 0})}, {grey_plane(), prop}};
 }
 
+// A ball in the shadow of another, of triangles that are larger than the edges of shadows on them.
+Scene ball_below_a_ball(const std::filesystem::path& folder) {
+  prt::Mesh both = prt::make_sphere({0, .22f, 0}, .22f, 3, {.6f, .6f, .6f});
+  prt::append(both, prt::make_sphere({.3f, .5f, .12f}, .12f, 3, {.6f, .6f, .6f}));
+  test::write_obj(both, folder / "balls.obj");
+  SceneObject balls;
+  balls.asset = (folder / "balls.obj").string();
+  balls.name = "balls";
+  balls.place_on_floor = true;
+  return {{balls}, {grey_plane()}};
+}
+
 class ReferenceWorld : public testing::TestWithParam<World> {};
 
 TEST_P(ReferenceWorld, CompositeFollowsTheWorldWithTheObjectInIt) {
@@ -145,6 +157,8 @@ TEST_P(ReferenceWorld, CompositeFollowsTheWorldWithTheObjectInIt) {
 
 const World kWorlds[] = {
     {"coloured_sun", on_floor, [] { return std::vector{coloured_sun()}; }, .05, .05},
+    // 1.2 % with shadows' edges as wide as triangles.
+    {"coarse_balls", ball_below_a_ball, [] { return std::vector{coloured_sun()}; }, .05, .01},
     {"window_frame", on_floor, [] { return std::vector{window_room()}; }, .05, .05},
     {"moving_lamp", on_floor,
      [] {

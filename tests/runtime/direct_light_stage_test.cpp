@@ -81,6 +81,82 @@ TEST(DirectLightStage, ObjectsThatMoveRenewAllThatTheyReach) {
   EXPECT_GE(shaded, 1) << "one of the places is before the sun";
 }
 
+// The light that is drawn apart is a part of what the vertices get, however lights change: never more
+// than that, and all of it where no edge is near.
+TEST(DirectLightStage, EdgedLightIsAPartOfTheVerticesLight) {
+  const PreparedScene scene = two_balls();
+  const OcclusionProbes around(scene);
+  auto stage = DirectLightStage::create(scene, {});
+  ASSERT_TRUE(stage);
+  lighting::DistantLight strong = sun(0), weak = sun(2);
+  strong.radius = weak.radius = Radians(.005);
+  weak.id = 2, weak.radiance = {40, 40, 40};
+  const auto expect_a_part = [&](const char* when) {
+    for (const std::size_t object : {std::size_t{0}, std::size_t{1}}) {
+      const auto edged = stage->edged_light(object);
+      ASSERT_TRUE(edged) << when;
+      const std::vector<float> all = light_on(*stage, scene, object);
+      std::size_t near = 0;
+      for (std::size_t v = 0; v < edged->lit.size(); ++v) {
+        const float at_vertex = edged->radiance.r * edged->cosine[v];
+        ASSERT_LE(at_vertex, all[v] * 1.00001f) << when;
+        const float drawn =
+            edged->radiance.r * edged->open[v] * std::clamp(edged->lit[v], 0.f, 1.f);
+        near += std::abs(drawn - at_vertex) > .01f * edged->radiance.r;
+      }
+      EXPECT_LT(near, edged->lit.size() / 20) << when;
+    }
+  };
+  const auto update = [&](std::initializer_list<lighting::DistantLight> lights) {
+    stage->update(std::vector<lighting::DistantLight>(lights), 1, around);
+  };
+  update({strong, weak});
+  expect_a_part("at first");
+  std::swap(strong.radiance, weak.radiance);
+  update({strong, weak});
+  expect_a_part("while what was weak is strong, and not traced anew");
+  weak.direction = sun(1.9).direction;
+  update({strong, weak});
+  expect_a_part("once it is");
+  EXPECT_EQ(stage->edged_light(0)->radiance, weak.radiance * float(weak.solid_angle_sr() / kPi));
+  update({});
+  EXPECT_FALSE(stage->edged_light(0));
+  update({weak});
+  expect_a_part("when a light has come back");
+  weak.radius = Radians(.1);
+  update({weak});
+  EXPECT_FALSE(stage->edged_light(0)) << "wide lights have no sharp edges";
+}
+
+// What rests is not lit anew for a change too small to be seen, and keeps the light that it has;
+// many such changes are seen.
+TEST(DirectLightStage, SmallChangesAddUpWhileSomethingElseMoves) {
+  const PreparedScene scene = two_balls();
+  const OcclusionProbes around(scene);
+  auto stage = DirectLightStage::create(scene, {});
+  ASSERT_TRUE(stage);
+  stage->set_pose(0, {{1, 0, 0, 0}, {0, 0, 3}});
+  lighting::DistantLight light = sun(0);
+  light.radius = Radians(.005);
+  const auto update = [&](double step) {
+    stage->set_pose(1, {{1, 0, 0, 0}, {.01 * step, 0, 0}});
+    stage->update(std::vector{light}, luminance(light.irradiance()), around);
+  };
+  update(0);
+  std::vector<float> lit = light_on(*stage, scene, 0);
+  int renewed = 0;
+  for (int step = 1; step <= 20; ++step) {
+    light.radiance = light.radiance * .997f;
+    update(step);
+    if (stage->changed(0))
+      lit = light_on(*stage, scene, 0), ++renewed;
+    else
+      EXPECT_EQ(light_on(*stage, scene, 0), lit) << step;
+  }
+  EXPECT_GE(renewed, 8);
+  EXPECT_LE(renewed, 12) << "two steps are seen, one is not";
+}
+
 // More rays of the probes are other hits: each is shaded, once.
 TEST(DirectLightStage, OtherHitsAreShadedAnew) {
   const PreparedScene scene = two_balls();

@@ -48,7 +48,7 @@ double ratio_at(const prt::BakedObject& object, const PlanarShadow& shadow, cons
 }
 
 TEST(CombinedShadow, EqualObjectsInOnePlaceDarkenOnce) {
-  const PlanarShadow alone = shadow_of(sphere(), test::constant_light(kWhiteLight, 5));
+  const PlanarShadow alone = shadow_of(sphere(), penumbra::test::constant_light(kWhiteLight, 5));
   PlanarShadow second = alone;
   combine_shadows({&sphere(), {}, &alone}, {&sphere(), {}, &alone}, second);
   double worst = 0, naive = 0;
@@ -63,7 +63,7 @@ TEST(CombinedShadow, EqualObjectsInOnePlaceDarkenOnce) {
 }
 
 TEST(CombinedShadow, TurningOneOfTwoEqualSpheresChangesNothing) {
-  const RadianceSh light = test::constant_light(kWhiteLight, 5);
+  const RadianceSh light = penumbra::test::constant_light(kWhiteLight, 5);
   const PlanarShadow alone = shadow_of(sphere(), light);
   const Pose turned{glm::angleAxis(.7, glm::dvec3(0, 1, 0)), {0, 0, 0}};
   PlanarShadow second = alone;
@@ -81,7 +81,7 @@ TEST(CombinedShadow, TurningOneOfTwoEqualSpheresChangesNothing) {
 
 // Two spheres side by side against rays through both; the bound and the plain product beside it.
 TEST(CombinedShadow, NeighboursAreCloserToTheTruthThanTheProduct) {
-  const RadianceSh light = test::constant_light(kWhiteLight, 5);
+  const RadianceSh light = penumbra::test::constant_light(kWhiteLight, 5);
   const PlanarShadow alone = shadow_of(sphere(), light);
   const Pose a{}, b{{1, 0, 0, 0}, {.5, 0, .1}};  // they reach into each other
   PlanarShadow second = alone;
@@ -116,7 +116,7 @@ TEST(CombinedShadow, StaysInsideTheProvenInterval) {
   double max_beyond = 0, product_beyond = 0;
   const prt::GroundGrid& grid = sphere().receiver->grid;
   for (unsigned seed = 1; seed < 6; ++seed) {
-    const RadianceSh light = test::random_light(5, seed, .2f);
+    const RadianceSh light = penumbra::test::random_light(5, seed, .2f);
     const PlanarShadow alone = shadow_of(sphere(), light);
     const Pose b{{1, 0, 0, 0}, {.15 * (seed - 1), 0, .1 * (seed - 1)}};
     PlanarShadow second = alone;

@@ -1,0 +1,23 @@
+// A light whose shadow on an object is drawn finer than the object's mesh.
+// threads: plain values
+#pragma once
+
+#include <span>
+
+#include "core/image.h"
+
+#pragma GCC visibility push(default)
+namespace penumbra::compositor {
+
+/// A source whose shadow's edges on an object are drawn finer than the object's mesh. The light at
+/// vertices holds radiance * cosine of it; radiance * open * clamp(lit, 0, 1) of values between them
+/// is drawn in its place.
+struct EdgedLight {
+  Rgb radiance;                   // of a white surface that faces the source, nothing in its way
+  std::span<const float> cosine;  // by vertex, what arrives
+  std::span<const float> open;    // with nothing in its way
+  std::span<const float> lit;     // visible fraction; beyond 0..1 by the distance from an edge
+};
+
+}  // namespace penumbra::compositor
+#pragma GCC visibility pop
