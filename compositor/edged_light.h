@@ -10,8 +10,8 @@
 namespace penumbra::compositor {
 
 /// A source whose shadow's edges on an object are drawn finer than the object's mesh. The light at
-/// vertices holds radiance * cosine of it; radiance * open * clamp(lit, 0, 1) of values between them
-/// is drawn in its place.
+/// vertices holds radiance * cosine of it. In its place is drawn radiance * open * clamp(lit, 0, 1)
+/// of interpolated values.
 struct EdgedLight {
   Rgb radiance;                   // of a white surface that faces the source, nothing in its way
   std::span<const float> cosine;  // by vertex, what arrives

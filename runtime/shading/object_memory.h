@@ -9,7 +9,8 @@
 namespace penumbra::runtime {
 
 /// Bytes that a stage keeps of the mesh and the bake of an object which keeps its form. Textures,
-/// edges of one light's shadows, and what is built over the mesh to trace it, come on top. Copies share all but the mesh.
+/// edges of one light's shadows, and what is built over the mesh to trace it, come on top. Copies
+/// share all but the mesh.
 struct ObjectMemory {
   std::size_t mesh = 0;     // places, normals, albedo, triangles
   std::size_t surface = 0;  // patterns that relight it

@@ -81,8 +81,8 @@ TEST(DirectLightStage, ObjectsThatMoveRenewAllThatTheyReach) {
   EXPECT_GE(shaded, 1) << "one of the places is before the sun";
 }
 
-// The light that is drawn apart is a part of what the vertices get, however lights change: never more
-// than that, and all of it where no edge is near.
+// The light that is drawn apart is a part of what the vertices get, however lights change: never
+// more than that, and all of it where no edge is near.
 TEST(DirectLightStage, EdgedLightIsAPartOfTheVerticesLight) {
   const PreparedScene scene = two_balls();
   const OcclusionProbes around(scene);
