@@ -402,20 +402,19 @@ void trace_direct_light(const RayOccluders& occluders, const ShadowCasters& cast
   const auto fraction = static_cast<float>(counted.size()) / static_cast<float>(all.at(0).size());
   const UnoccludedLight whole(counted, glm::vec3(source.direction),
                               glm::transpose(object.world_from_mesh.rotation_matrix()), hard);
+  if (with_edges) edged->open.resize(count);
   parallel_for(std::size_t{0}, count, 1024, [&](const auto& part) {
     whole.light(std::span(mesh.normals).subspan(part.begin(), part.size()),
                 out.subspan(part.begin(), part.size()));
+    for (std::size_t i = part.begin(); i < part.end(); ++i) {
+      const float open = fraction * out[i];
+      out[i] = sums[i].seen <= 0 ? 0 : sums[i].seen / sums[i].open * open;
+      if (with_edges) edged->open[i] = open;
+    }
   });
-  if (with_edges) {
-    edged->open.resize(count);
-    std::ranges::transform(out, edged->open.begin(), [&](float o) { return fraction * o; });
-    edged->lit.resize(count);
-    find_shadow_edge(occluders, mesh, object.world_from_mesh, middle, sums, edged->lit);
-  }
-  parallel_for(std::size_t{0}, count, 4096, [&](const auto& part) {
-    for (std::size_t i = part.begin(); i < part.end(); ++i)
-      out[i] = sums[i].seen <= 0 ? 0 : fraction * sums[i].seen / sums[i].open * out[i];
-  });
+  if (!with_edges) return;
+  edged->lit.resize(count);
+  find_shadow_edge(occluders, mesh, object.world_from_mesh, middle, sums, edged->lit);
 }
 
 void trace_direct_light_at_vertices(const RayOccluders& occluders, const prt::Mesh& mesh,

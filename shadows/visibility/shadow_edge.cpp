@@ -83,12 +83,10 @@ class EdgeFinder {
   void take_fractions() {
     std::vector<std::uint8_t>& place = memory().place;
     place.resize(sums_.size());
-    parallel_for(std::size_t{0}, sums_.size(), 4096, [&](const auto& part) {
-      for (std::size_t i = part.begin(); i < part.end(); ++i) {
-        place[i] = place_of(sums_[i]);
-        lit_[i] = sums_[i].open > 0 ? sums_[i].seen / sums_[i].open : 0;
-      }
-    });
+    for (std::size_t i = 0; i < sums_.size(); ++i) {
+      place[i] = place_of(sums_[i]);
+      lit_[i] = sums_[i].open > 0 ? sums_[i].seen / sums_[i].open : 0;
+    }
   }
 
   void sort_triangles() {
@@ -120,10 +118,10 @@ class EdgeFinder {
     std::vector<Crossing>& crossings = memory().crossings;
     const glm::mat3 turn = world_from_mesh.rotation_matrix();
     const glm::vec3 shift = world_from_mesh.translation;
-    float step = .5f;
-    for (int round = 0; round < kHalvings; ++round) {
-      step *= .5f;
-      parallel_for(std::size_t{0}, crossings.size(), 512, [&](const auto& part) {
+    parallel_for(std::size_t{0}, crossings.size(), 512, [&](const auto& part) {
+      float step = .5f;
+      for (int round = 0; round < kHalvings; ++round) {
+        step *= .5f;
         Packets packets(occluders, [&](std::size_t i, float, bool by_virtual, bool by_real) {
           crossings[i].at += by_virtual || by_real ? -step : step;
         });
@@ -133,8 +131,8 @@ class EdgeFinder {
               glm::normalize(glm::mix(mesh_.normals[c.lit], mesh_.normals[c.dark], c.at));
           packets.add(i, 1, turn * (point_at(c) + occluders.near_m * n) + shift, towards);
         }
-      });
-    }
+      }
+    });
   }
 
   glm::vec3 point_at(const Crossing& c) const {
