@@ -388,7 +388,7 @@ void CompositeStage::combine_object_shadows(const std::vector<Pose>& poses) {
       shadows::combine_shadows({&other.prepared->baked, poses[i], &other.shadow},
                                {&o.prepared->baked, poses[k], &o.shadow}, o.shared);
     }
-    const auto edged = o.lit_by_lights ? lights_.edged_light(k) : std::nullopt;
+    const auto edged = o.has_lights() ? lights_.edged_light(k) : std::nullopt;
     compositor_->set_light(o.handle, o.relit, o.shown(), o.of_open, edged ? &*edged : nullptr);
   }
 }

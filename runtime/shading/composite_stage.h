@@ -173,7 +173,7 @@ class CompositeStage {
     std::optional<Pose> pose_seen{};
     std::uint32_t hits_seen = 0;
     bool renewed = false;  // in this update
-    bool lit_by_lights = false;
+    bool has_lights() const { return light_used && light_used->lights.bands() > 1; }
     const shadows::PlanarShadow& shown() const { return shares ? shared : shadow; }
   };
   struct ViewCamera {

@@ -376,7 +376,6 @@ void CompositeStage::relight(StageObject& o, const ObjectLight& light, std::size
     surroundings_.spread(index, light.around, o.relit);
     for (float& v : o.relit) v = std::max(v, 0.f);
   }
-  o.lit_by_lights = lights;
   if (lights) lights_.add_light(index, o.relit);
   if (lamps_.any()) lamps_.add_light(index, o.relit);
 }

@@ -52,11 +52,9 @@ class EdgeFinder {
   void find(const RayOccluders& occluders, const Pose& world_from_mesh, const glm::vec3& towards) {
     take_fractions();
     sort_triangles();
-    if (!memory().cut.empty()) {
-      place_crossings(occluders, world_from_mesh, towards);
-      take_distances();
-    }
-    if (!memory().turned.empty()) continue_behind();
+    if (memory().cut.empty()) return;
+    place_crossings(occluders, world_from_mesh, towards);
+    take_distances();
   }
 
  private:
@@ -70,9 +68,7 @@ class EdgeFinder {
   struct Memory {  // grows once per thread
     std::vector<std::uint8_t> place;
     std::vector<CutTriangle> cut;
-    std::vector<std::array<std::uint32_t, 3>> turned;  // triangles with corners turned away
     std::vector<Crossing> crossings;
-    std::vector<WeightedSum> means;
     std::vector<EdgeCorner> beside;
   };
   static Memory& memory() {
@@ -91,11 +87,9 @@ class EdgeFinder {
 
   void sort_triangles() {
     Memory& m = memory();
-    m.cut.clear(), m.turned.clear(), m.crossings.clear();
+    m.cut.clear(), m.crossings.clear();
     for (const auto& t : mesh_.triangles) {
       const unsigned places = m.place[t[0]] | m.place[t[1]] | m.place[t[2]];
-      if ((places & (places - 1)) == 0) continue;  // all corners alike
-      if ((places & kTurnedAway) != 0) m.turned.push_back(t);
       if (places == (kDark | kLit)) add_cut(t);
     }
     std::ranges::sort(m.crossings, {}, &Crossing::ends);
@@ -168,23 +162,6 @@ class EdgeFinder {
                     width = kRamp * here.side.sum / here.side.weight;
         lit_[v] = m.place[v] == kLit ? .5f + distance / width : .5f - distance / width;
       }
-  }
-
-  // What looks away from the light gets none, but triangles beside it get some: there it has as
-  // much of it in sight as its neighbours.
-  void continue_behind() {
-    Memory& m = memory();
-    m.means.assign(sums_.size(), {});
-    for (const auto& t : m.turned)
-      for (const std::uint32_t v : t)
-        for (const std::uint32_t beside : t)
-          if (m.place[v] == kTurnedAway && m.place[beside] != kTurnedAway) {
-            m.means[v].sum += std::clamp(lit_[beside], 0.f, 1.f);
-            m.means[v].weight += 1;
-          }
-    for (const auto& t : m.turned)
-      for (const std::uint32_t v : t)
-        if (m.place[v] == kTurnedAway) lit_[v] = m.means[v].sum / m.means[v].weight;
   }
 
   const prt::Mesh& mesh_;

@@ -16,6 +16,7 @@ namespace penumbra::shadows {
 /// beside an edge that is narrower than their triangles lie beyond 0..1, by their distance from it.
 /// in:      mesh, its place; towards: the light's middle, unit, world frame
 ///          sums: by vertex, of the directions that were asked for it; open 0: turned away
+/// out:     lit: 0 for vertices that are turned away
 /// threads: reentrant, parallel inside
 /// source:  a distance to an edge keeps it sharp under linear interpolation, Green 2007
 void find_shadow_edge(const RayOccluders& occluders, const prt::Mesh& mesh,
