@@ -12,6 +12,7 @@
 #include "core/io/log.h"
 #include "core/threads/background_task.h"
 #include "core/threads/parallel.h"
+#include "core/threads/scratch.h"
 #include "lighting/sh/basis.h"
 #include "lighting/sh/irradiance.h"
 #include "prt/bake/bake.h"
@@ -445,19 +446,23 @@ void CompositeStage::compose_shadow(std::size_t index, const lighting::LightEsti
   StageObject& o = objects_[index];
   const prt::BakedObject& baked = o.prepared->baked;
   shadows::ReceiverLight on_receiver(light.local);
-  on_receiver.lights = light.receiver_lights;
+  on_receiver.lights = light.reaching_lights;
   on_receiver.distant_irradiance = light.distant_irradiance;
   o.deficit.resize(3 * baked.ground_deficit.stride);
+  const Scratch::Scope scope;
+  std::pmr::vector<float> lit(scope.memory());
+  find_lit(index, estimate, pose, light, lit);
   // What is taken is what is lost less what comes back by reflection.
   const bool lights = luminance(light.distant_irradiance) > 0;
-  RadianceSh given_back = light.receiver_lights;
+  RadianceSh given_back = light.lights;
   for (Rgb& term : given_back.terms()) term = term * -1.f;
   relight_parts(o, PreparedObject::TransferPart::kGround, light.local,
-                lights ? &given_back : nullptr, o.deficit);
+                lights && lit.empty() ? &given_back : nullptr, o.deficit);
+  if (lights && !lit.empty()) add_ground_reflected(o, given_back, lit, o.deficit);
   if (ground_probes_.any()) {
     take_what_is_behind(index, residual_for(estimate, stands_level(baked, pose)), pose, light.local,
                         o.deficit);
-    correct_reflections(index, light);
+    correct_reflections(index, light, lit);
   }
   shadows::compose_planar_shadow(
       {baked.receiver->grid, baked.ground_deficit.bands, baked.ground_deficit.stride, o.deficit},

@@ -148,7 +148,7 @@ class CompositeStage {
       return reflected[probe] > 0 ? reflected_left[probe] / reflected[probe] : 1;
     }
     RadianceSh lights{1};  // for the light that object and floor reflect; 1 band without lights
-    RadianceSh receiver_lights{1};  // what of them the object has to reflect onto the floor
+    RadianceSh reaching_lights{1};  // what of them comes to the object past others, as a whole
     Rgb distant_irradiance;         // of the open receiver
   };
   struct StageObject {
@@ -215,6 +215,8 @@ class CompositeStage {
                           std::pmr::vector<FloorShadow>& out) const;
   static FloorLight floor_at(const glm::vec3& point, std::span<const FloorShadow> floor_shadows,
                              float local, float open, float all);
+  lighting::DistantLight lamp_as_distant(const shadows::Lamp& lamp, std::size_t index,
+                                         const Pose& pose) const;
   float lit_fraction(std::size_t source, std::size_t index, const Pose& pose) const;
   void add_distant_lights(std::size_t index, const lighting::LightEstimate& light, const Pose& pose,
                           ObjectLight& out) const;
@@ -238,7 +240,12 @@ class CompositeStage {
                       const ObjectLight& light);
   void take_what_is_behind(std::size_t index, const RadianceSh& sky, const Pose& pose,
                            const RadianceSh& local, std::span<float> deficit) const;
-  void correct_reflections(std::size_t index, const ObjectLight& light);
+  std::array<Rgb, OcclusionProbes::kProbes> lit_probes(std::size_t source, std::size_t index) const;
+  void find_lit(std::size_t index, const lighting::LightEstimate& estimate, const Pose& pose,
+                const ObjectLight& light, std::pmr::vector<float>& out);
+  void add_ground_reflected(const StageObject& object, const RadianceSh& lights,
+                            std::span<const float> lit, std::span<float> out) const;
+  void correct_reflections(std::size_t index, const ObjectLight& light, std::span<const float> lit);
   bool is_nearest(std::size_t index, const glm::dvec3& place) const;
   void combine_object_shadows(const std::vector<Pose>& poses);
   void shade_real_mesh(const lighting::LightEstimate& light, const std::vector<Pose>& poses,

@@ -70,14 +70,77 @@ Rgb in_middle_of(std::size_t point, int size, std::span<const float> texels) {
 
 }  // namespace
 
+// Whether a distant light reaches the object's probes past itself (r), and past all else too (g).
+std::array<Rgb, OcclusionProbes::kProbes> CompositeStage::lit_probes(std::size_t source,
+                                                                     std::size_t index) const {
+  std::array<Rgb, OcclusionProbes::kProbes> out{};
+  const std::span<const ProbeHit> hits = surroundings_.hits(index);
+  const std::span<const std::uint8_t> shade = lights_.hit_shade(source, index);
+  for (std::size_t k = 0; k < hits.size(); ++k)
+    if (hits[k].thing == ProbeHit::kProbe && !(shade[k] & DirectLightStage::kByItself))
+      out[hits[k].probe] = {1, shade[k] & DirectLightStage::kByOthers ? 0.f : 1.f, 0};
+  return out;
+}
+
+// Of the lights that the object reflects onto the floor in the open, what is left past others, by
+// texel of its ground grid and channel: what a place sees of the object may lie in a neighbour's
+// shadow. Nothing where all of them reach all of it.
+void CompositeStage::find_lit(std::size_t index, const lighting::LightEstimate& estimate,
+                              const Pose& pose, const ObjectLight& light,
+                              std::pmr::vector<float>& out) {
+  if (light.reaching_lights == light.lights) return;
+  const prt::BakedObject& baked = objects_[index].prepared->baked;
+  ground_probes_.look_once(index, lights_.occluders());
+  // What the rays of a point meet, as lit if nothing stood around, and as it is. Few rays tell
+  // little, so the object as a whole counts as one of them.
+  std::array<float, GroundProbes::kPoints> alone, left;
+  alone.fill(luminance(light.lights[0]));
+  left.fill(luminance(light.reaching_lights[0]));
+  const auto look = [&](const lighting::DistantLight& source, const auto& lit_at) {
+    const glm::vec3 towards(glm::conjugate(pose.rotation) * source.direction);
+    const float power = luminance(source.irradiance());
+    for (const GroundHit& hit : ground_probes_.hits(index)) {
+      if (!hit.bake_blocks || hit.inside) continue;
+      const float sent = power * luminance(baked.mesh.albedo[hit.vertex]) *
+                         std::max(0.f, glm::dot(baked.mesh.normals[hit.vertex], towards));
+      if (sent <= 0) continue;
+      const Rgb lit = lit_at(hit.vertex);
+      alone[hit.point] += sent * lit.r;
+      left[hit.point] += sent * lit.g;
+    }
+  };
+  for (std::size_t j = 0; j < estimate.lights.size(); ++j) {
+    const auto probes = lit_probes(j, index);
+    look(estimate.lights[j],
+         [&](std::uint32_t vertex) { return surroundings_.at_vertex(index, probes, vertex); });
+  }
+  for (const shadows::Lamp& lamp : scene_.lamps)
+    look(lamp_as_distant(lamp, index, pose), [](std::uint32_t) { return Rgb{1, 1, 0}; });
+  std::array<Rgb, GroundProbes::kPoints> fraction;
+  for (std::size_t p = 0; p < fraction.size(); ++p)
+    fraction[p] = Rgb{1, 1, 1} * (alone[p] > 0 ? std::min(left[p] / alone[p], 1.f) : 1);
+  out.assign(objects_[index].deficit.size(), 0.f);
+  ground_probes_.spread(index, fraction, baked.receiver->grid.size, out);
+}
+
+// What object and floor reflect onto the floor of these lights, in the measure of find_lit().
+void CompositeStage::add_ground_reflected(const StageObject& o, const RadianceSh& lights,
+                                          std::span<const float> lit, std::span<float> out) const {
+  const Scratch::Scope scope;
+  std::pmr::vector<float> sent(out.size(), 0.f, scope.memory());
+  relight_reflected(o, PreparedObject::TransferPart::kGround, lights, sent);
+  for (std::size_t i = 0; i < out.size(); ++i) out[i] += lit[i] * sent[i];
+}
+
 // What the object reflects onto the floor does not go through real things. Where something takes
 // the lights from the object, it sends what it shows, since what lies in light beside it may light
 // it from elsewhere than the bake has the floor do.
-void CompositeStage::correct_reflections(std::size_t index, const ObjectLight& light) {
+void CompositeStage::correct_reflections(std::size_t index, const ObjectLight& light,
+                                         std::span<const float> lit) {
   StageObject& o = objects_[index];
   const prt::BakedObject& baked = o.prepared->baked;
   const bool lights = light.lights.bands() > 1;
-  const float as_shown = lights ? fraction_as_shown(light.lights, light.receiver_lights) : 0;
+  const float as_shown = lights ? fraction_as_shown(light.lights, light.reaching_lights) : 0;
   constexpr float kPerRay = 1.f / GroundProbes::kRays;
   // Of a point's rays that meet the object, how many a real thing stops first, all, and how many
   // meet its back; and the light along those that nothing stops.
@@ -96,11 +159,12 @@ void CompositeStage::correct_reflections(std::size_t index, const ObjectLight& l
   }
   if (!any) return;
   RadianceSh reflected = light.local.with_bands(baked.reflected.bands);
-  if (lights)
-    for (int n = 0; n < reflected.size(); ++n) reflected[n] += light.receiver_lights[n];
+  if (lights && lit.empty())
+    for (int n = 0; n < reflected.size(); ++n) reflected[n] += light.lights[n];
   o.more.resize(std::max(o.more.size(), o.deficit.size()));
   const std::span<float> more(o.more.data(), o.deficit.size());
   relight_reflected(o, PreparedObject::TransferPart::kGround, reflected, more);
+  if (lights && !lit.empty()) add_ground_reflected(o, light.lights, lit, more);
   const int size = baked.receiver->grid.size;
   std::array<Rgb, GroundProbes::kPoints> expected{};
   for (std::size_t p = 0; p < expected.size(); ++p) {

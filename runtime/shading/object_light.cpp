@@ -212,6 +212,22 @@ void CompositeStage::see_surroundings(std::size_t index, const lighting::LightEs
   });
 }
 
+// The lamp's light at the middle of the object: what object and floor reflect of it is as if it were
+// as far for all of them.
+lighting::DistantLight CompositeStage::lamp_as_distant(const shadows::Lamp& lamp, std::size_t index,
+                                                       const Pose& pose) const {
+  const glm::dvec3 centre(prt::bounds_of(objects_[index].prepared->baked.mesh).centre()),
+      to = lamp.position - pose * centre;
+  const double distance = std::max(glm::length(to), 2 * lamp.radius_m);
+  lighting::DistantLight out;
+  out.direction = glm::length(to) > 0 ? glm::normalize(to) : glm::dvec3(0, 1, 0);
+  const double sine = lamp.radius_m / distance;
+  out.radius = Radians(std::asin(sine));
+  out.radiance =
+      lamp.irradiance_at_1m * static_cast<float>(1 / (distance * distance * kPi * sine * sine));
+  return out;
+}
+
 // How much of a distant light reaches the object past everything else: what it has to reflect onto
 // the floor.
 float CompositeStage::lit_fraction(std::size_t source, std::size_t index, const Pose& pose) const {
@@ -229,23 +245,6 @@ float CompositeStage::lit_fraction(std::size_t source, std::size_t index, const 
   return all > 0 ? static_cast<float>(lit / all) : 1;
 }
 
-namespace {
-
-// The lamp's light at a place.
-lighting::DistantLight as_distant_light(const shadows::Lamp& lamp, const glm::dvec3& at) {
-  const glm::dvec3 to = lamp.position - at;
-  const double distance = std::max(glm::length(to), 2 * lamp.radius_m);
-  lighting::DistantLight out;
-  out.direction = glm::length(to) > 0 ? glm::normalize(to) : glm::dvec3(0, 1, 0);
-  const double sine = lamp.radius_m / distance;
-  out.radius = Radians(std::asin(sine));
-  out.radiance =
-      lamp.irradiance_at_1m * static_cast<float>(1 / (distance * distance * kPi * sine * sine));
-  return out;
-}
-
-}  // namespace
-
 void CompositeStage::add_distant_lights(std::size_t index, const lighting::LightEstimate& estimate,
                                         const Pose& pose, ObjectLight& out) const {
   const bool level = stands_level(objects_[index].prepared->baked, pose);
@@ -259,13 +258,8 @@ void CompositeStage::add_distant_lights(std::size_t index, const lighting::Light
     add(lit, own, surroundings_.any() ? lit_fraction(i, index, pose) : 1);
     out.distant_irradiance += lighting::irradiance(d, up);
   }
-  // What object and floor reflect of a lamp: as if it were as far for all of them as for the
-  // object's middle.
-  glm::dvec3 centre(0);
-  if (!scene_.lamps.empty())
-    centre = pose * glm::dvec3(prt::bounds_of(objects_[index].prepared->baked.mesh).centre());
   for (const shadows::Lamp& lamp : scene_.lamps) {
-    const RadianceSh own = reflected_for(as_distant_light(lamp, centre), level);
+    const RadianceSh own = reflected_for(lamp_as_distant(lamp, index, pose), level);
     add(sum, own, 1);
     add(lit, own, 1);
   }
@@ -274,7 +268,7 @@ void CompositeStage::add_distant_lights(std::size_t index, const lighting::Light
                                    objects_[index].prepared->baked.reflected.bands);
   };
   out.lights = in_bake_frame(sum);
-  out.receiver_lights = lit == sum ? out.lights : in_bake_frame(lit);
+  out.reaching_lights = lit == sum ? out.lights : in_bake_frame(lit);
 }
 
 // What floor and object send of a distant light to each probe.

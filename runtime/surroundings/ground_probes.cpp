@@ -15,18 +15,30 @@ GroundProbes::GroundProbes(const PreparedScene& scene)
 
 void GroundProbes::update(const shadows::RayOccluders& occluders, std::span<const Pose> poses,
                           bool other_form) {
-  if (!any()) return;
+  if (!any()) {
+    poses_.assign(poses.begin(), poses.end());
+    return;
+  }
   const std::vector<Pose> before = std::exchange(poses_, {poses.begin(), poses.end()});
   for (std::size_t i = 0; i < poses.size(); ++i) {
     const PreparedObject& object = scene_->objects[i];
     const bool same =
         before.size() == poses.size() && before[i] == poses[i] && !(other_form && object.animation);
-    if (same || !object.baked.receiver) continue;
-    objects_[i].hits.clear();
-    parallel_for(0, kSize, [&](int row) { look_from_row(i, row, occluders); });
-    for (const std::vector<GroundHit>& row : rows_)
-      objects_[i].hits.insert(objects_[i].hits.end(), row.begin(), row.end());
+    if (!same && object.baked.receiver) look_from(i, occluders);
   }
+}
+
+void GroundProbes::look_once(std::size_t object, const shadows::RayOccluders& occluders) {
+  if (!any() && !objects_[object].looked) look_from(object, occluders);
+}
+
+void GroundProbes::look_from(std::size_t object, const shadows::RayOccluders& occluders) {
+  GroundObject& o = objects_[object];
+  o.looked = true;
+  o.hits.clear();
+  parallel_for(0, kSize, [&](int row) { look_from_row(object, row, occluders); });
+  for (const std::vector<GroundHit>& row : rows_)
+    o.hits.insert(o.hits.end(), row.begin(), row.end());
 }
 
 glm::dvec3 GroundProbes::place(std::size_t object, std::size_t point) const {

@@ -45,6 +45,10 @@ class GroundProbes {
   /// in: occluders as made for this scene
   void update(const shadows::RayOccluders& occluders, std::span<const Pose> poses, bool other_form);
 
+  /// For an object of a scene where any() is false: casts its rays if it never did. What stands
+  /// around in its own bake stays there wherever it goes.
+  void look_once(std::size_t object, const shadows::RayOccluders& occluders);
+
   /// As last looked at; each ray stands for 1/kRays of the irradiance over pi.
   std::span<const GroundHit> hits(std::size_t object) const { return objects_[object].hits; }
   /// Where a point lies, world.
@@ -59,7 +63,9 @@ class GroundProbes {
   struct GroundObject {
     std::vector<GroundHit> hits;
     std::array<bool, kPoints> open{};  // lies before what is real
+    bool looked = false;
   };
+  void look_from(std::size_t object, const shadows::RayOccluders& occluders);
   void look_from_row(std::size_t object, int row, const shadows::RayOccluders& occluders);
 
   const PreparedScene* scene_;

@@ -115,6 +115,24 @@ Scene ball_below_a_ball(const std::filesystem::path& folder) {
   return {{balls}, {grey_plane()}};
 }
 
+SceneObject block(const std::filesystem::path& folder, const char* name, const dvec3& position,
+                  const glm::vec3& size) {
+  const auto file = folder / (std::string(name) + ".obj");
+  test::write_obj(prt::make_box({0, 0, 0}, size, 8, {.7f, .7f, .7f}), file);
+  SceneObject out;
+  out.asset = file.string();
+  out.name = name;
+  out.position = position;
+  return out;
+}
+
+// The side of a block that the sun lights lies in the shadow of another for most of its height.
+Scene block_in_shade(const std::filesystem::path& folder) {
+  return {{block(folder, "lit", {-.2, 0, -.2}, {.3f, .3f, .5f}),
+           block(folder, "before", {.3, 0, 0}, {.08f, .35f, .5f})},
+          {grey_plane()}};
+}
+
 class ReferenceWorld : public testing::TestWithParam<World> {};
 
 TEST_P(ReferenceWorld, CompositeFollowsTheWorldWithTheObjectInIt) {
@@ -159,6 +177,8 @@ const World kWorlds[] = {
     {"coloured_sun", on_floor, [] { return std::vector{coloured_sun()}; }, .05, .05},
     // 1.2 % with shadows' edges as wide as triangles.
     {"coarse_balls", ball_below_a_ball, [] { return std::vector{coloured_sun()}; }, .05, .01},
+    // .10 if what the blocks reflect onto the floor is dimmed alike all over it.
+    {"block_in_shade", block_in_shade, [] { return std::vector{coloured_sun()}; }, .03, .05},
     {"window_frame", on_floor, [] { return std::vector{window_room()}; }, .05, .05},
     {"moving_lamp", on_floor,
      [] {
