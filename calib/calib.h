@@ -15,6 +15,7 @@
 #include "calib/estimate/camera_calibration.h"      // IWYU pragma: export
 #include "calib/estimate/colour_calibration.h"      // IWYU pragma: export
 #include "calib/estimate/estimate_response.h"       // IWYU pragma: export
+#include "calib/estimate/latency.h"                 // IWYU pragma: export
 #include "calib/estimate/noise_calibration.h"       // IWYU pragma: export
 #include "calib/estimate/rig_calibration.h"         // IWYU pragma: export
 #include "calib/estimate/vignetting_calibration.h"  // IWYU pragma: export

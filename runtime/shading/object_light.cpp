@@ -212,8 +212,8 @@ void CompositeStage::see_surroundings(std::size_t index, const lighting::LightEs
   });
 }
 
-// The lamp's light at the middle of the object: what object and floor reflect of it is as if it were
-// as far for all of them.
+// The lamp's light at the middle of the object: what object and floor reflect of it is as if it
+// were as far for all of them.
 lighting::DistantLight CompositeStage::lamp_as_distant(const shadows::Lamp& lamp, std::size_t index,
                                                        const Pose& pose) const {
   const glm::dvec3 centre(prt::bounds_of(objects_[index].prepared->baked.mesh).centre()),

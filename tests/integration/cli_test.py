@@ -1264,6 +1264,25 @@ class Calibrate(CliTest):
                             out)
         self.assertFalse(out.exists())
 
+    @staticmethod
+    def chessboard(width, height, focal, square, u, v, centre):
+        """Pixels of a board of 7 x 5 inner corners in the camera's frame: axes, and where its middle is."""
+        n = (u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0])
+        reach = sum(a * b for a, b in zip(n, centre))
+
+        def pixel(x, y):
+            d = ((x + .5 - width / 2) / focal, (height / 2 - y - .5) / focal, -1)
+            away = sum(a * b for a, b in zip(n, d))
+            p = [reach / away * a - b for a, b in zip(d, centre)]
+            a = sum(i * j for i, j in zip(p, u)) / square
+            b = sum(i * j for i, j in zip(p, v)) / square
+            if abs(a) > 4 or abs(b) > 3:
+                return (235, 235, 235)
+            # Eight by six squares with soft edges; the inner corners stand at whole numbers.
+            light = math.sin(math.pi * a) * math.sin(math.pi * b)
+            return (round(128 + 100 * max(-1, min(1, 4 * light))),) * 3
+        return pixel
+
     def stereo(self, folder):
         """Two cameras 120 mm apart, the right one turned inwards by 6 degrees, and a chessboard that a hand moves."""
         folder.mkdir()
@@ -1279,21 +1298,7 @@ class Calibrate(CliTest):
                 c, s = math.cos(inwards), math.sin(inwards)
                 into = lambda p: (c * p[0] - s * p[2], p[1], s * p[0] + c * p[2])
                 u, v, centre = into(u), into(v), into((at[0] - .12, at[1], at[2]))
-            n = (u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0])
-            reach = sum(a * b for a, b in zip(n, centre))
-
-            def pixel(x, y):
-                d = ((x + .5 - width / 2) / focal, (height / 2 - y - .5) / focal, -1)
-                away = sum(a * b for a, b in zip(n, d))
-                p = [reach / away * a - b for a, b in zip(d, centre)]
-                a = sum(i * j for i, j in zip(p, u)) / square
-                b = sum(i * j for i, j in zip(p, v)) / square
-                if abs(a) > 4 or abs(b) > 3:
-                    return (235, 235, 235)
-                # Eight by six squares with soft edges; the inner corners stand at whole numbers.
-                light = math.sin(math.pi * a) * math.sin(math.pi * b)
-                return (round(128 + 100 * max(-1, min(1, 4 * light))),) * 3
-            return pixel
+            return self.chessboard(width, height, focal, square, u, v, centre)
 
         for camera in ("left", "right"):
             rows = ["file,time_s,exposure_s,gain"]
@@ -1384,6 +1389,67 @@ class Calibrate(CliTest):
         self.expect_refusal(["none of 8 pictures"], *refused[:3], "--board", "chessboard:11x8:0.04", *refused[5:])
         self.expect_refusal(["middle", "not a camera"], *refused, "--cameras", "left,middle")
         self.assertFalse((self.root / "no.toml").exists())
+
+    def turned(self, folder, late_s):
+        """A camera that a hand turns to and fro before a board, and its poses by a tracker whose clock is ahead."""
+        folder.mkdir()
+        width, height, focal, fps = 320, 240, 330, 12
+        turn = lambda t: .3 * math.sin(2.1 * t) + .12 * math.sin(5.3 * t + 1)
+        tilt = lambda t: .5 + .2 * math.sin(3.4 * t)
+        rows = ["file,time_s,exposure_s,gain"]
+        for n in range(32):
+            cy, sy = math.cos(turn(n / fps)), math.sin(turn(n / fps))
+            cx, sx = math.cos(tilt(n / fps)), math.sin(tilt(n / fps))
+            files.write_png(folder / f"{n}.png", width, height, self.chessboard(
+                width, height, focal, .04, (cy, sx * sy, -cx * sy), (0, cx, sx), (.01, .02, -.6)))
+            rows.append(f"{n}.png,{n / fps},0.01,1")
+        (folder / "frames.csv").write_text("\n".join(rows) + "\n")
+        (folder / "capture.toml").write_text(
+            f'version = 1\n[[camera]]\nname = "view"\nrole = "view"\nwidth = {width}\nheight = {height}\n'
+            f'projection = "pinhole"\nfocal_px = [{focal}, {focal}]\nresponse = "linear"\nframes = "frames.csv"\n')
+
+        def times(a, b):
+            (ax, ay, az, aw), (bx, by, bz, bw) = a, b
+            return (aw * bx + ax * bw + ay * bz - az * by, aw * by - ax * bz + ay * bw + az * bx,
+                    aw * bz + ax * by - ay * bx + az * bw, aw * bw - ax * bx - ay * by - az * bz)
+
+        poses = ["time_s,tx,ty,tz,qx,qy,qz,qw"]
+        for n in range(-60, 460):
+            t = n / 120
+            back = times((0, -math.sin(turn(t) / 2), 0, math.cos(turn(t) / 2)),
+                         (-math.sin(tilt(t) / 2), 0, 0, math.cos(tilt(t) / 2)))
+            poses.append(",".join(map(repr, (t + late_s, 0., 1., 0.) + times(back, (.6, 0, .48, .64)))))
+        (folder / "tracker.csv").write_text("\n".join(poses) + "\n")
+        return folder
+
+    def test_a_tracker_that_turns_with_a_camera_tells_its_latency(self):
+        capture, report = self.turned(self.root / "turned", .0435), self.root / "latency"
+        given = ["calibrate", "latency", capture, "--board", "chessboard:7x5:0.04", "--tracker", capture / "tracker.csv"]
+        poses = self.root / "body.toml"
+        identity = [float(i % 5 == 0) for i in range(16)]
+        poses.write_text('version = 1\n# by hand\n[rig]\nframe = "tracked body"\ntracker_offset_s = -0.01  # old\n'
+                         f'\n[[camera]]\nname = "view"\nworld_from_camera = {identity}\n')
+        printed = self.run_json(*given, "--report", report, "--pose-file", poses)
+        self.assertAlmostEqual(printed["tracker_offset_s"], .0435, delta=3 * printed["tracker_offset_sigma_s"])
+        self.assertLess(printed["tracker_offset_sigma_s"], .002)
+        self.assertEqual(printed["boards"], 32)
+        self.assertEqual(sorted(p.name for p in report.iterdir()), ["latency.csv", "latency.svg"])
+        text = poses.read_text()
+        self.assertIn(f"tracker_offset_s = {printed['tracker_offset_s']:.6f}", text)
+        self.assertIn("# by hand", text)
+        self.assertNotIn("# old", text)
+        self.run_json("inspect", poses)
+        self.assertIn("tracker time = camera time + 43", self.run_well(*given))
+        before = poses.read_bytes()
+        self.expect_refusal(["10 ms apart", "--max-offset"], *given, "--max-offset", .01, "--pose-file", poses)
+        self.expect_refusal(["--max-offset", "10 s"], *given, "--max-offset", -1)
+        self.expect_refusal(["side", "not a camera"], *given, "--camera", "side")
+        self.assertEqual(poses.read_bytes(), before)
+        poses.write_text(poses.read_text().replace("tracked body", "board"))
+        self.expect_refusal(["body.toml", "tracked body"], *given, "--pose-file", poses)
+        still = capture / "still.csv"
+        still.write_text("time_s,tx,ty,tz,qx,qy,qz,qw\n" + "".join(f"{n / 60 - 1},0,0,0,0,0,0,1\n" for n in range(300)))
+        self.expect_refusal(["tracker turns by 0.0 degrees"], *given[:-1], still)
 
     def test_what_cannot_be_calibrated_is_refused(self):
         out = self.root / "none.toml"

@@ -7,6 +7,7 @@
 
 #include "calib/camera/colour.h"
 #include "calib/camera/response.h"
+#include "core/conventions.h"
 #include "core/io/files.h"
 #include "core/io/log.h"
 #include "tools/calibrate/plots.h"
@@ -88,6 +89,16 @@ std::string rig_table(std::span<const calib::RigCameraInput> cameras, std::span<
                         k.position_sigma_m.x, k.position_sigma_m.y, k.position_sigma_m.z,
                         k.rotation_sigma_rad.x, k.rotation_sigma_rad.y, k.rotation_sigma_rad.z,
                         k.boards, k.rms_px);
+  }
+  return text;
+}
+
+std::string latency_table(const calib::Latency& l) {
+  std::string text = "time_s,camera_deg_s,tracker_deg_s\n";
+  for (const calib::TurnStep& s : l.steps) {
+    const double per_step = 180 / kPi / s.seconds;
+    text +=
+        fmt::format("{},{},{}\n", s.middle_s, s.camera_rad * per_step, s.tracker_rad * per_step);
   }
   return text;
 }
@@ -178,6 +189,14 @@ Result<void> write_rig_report(const std::filesystem::path& folder,
   const std::string table = rig_table(cameras, poses, c);
   PENUMBRA_TRY(write_table(folder / "rig.csv", table));
   return draw(folder, {{"rig.svg", "", table, kRigPlot}});
+}
+
+Result<void> write_latency_report(const std::filesystem::path& folder, const calib::Latency& l) {
+  const std::string table = latency_table(l);
+  PENUMBRA_TRY(write_table(folder / "latency.csv", table));
+  const std::string found =
+      fmt::format("offset_ms = {}\nsigma_ms = {}\n", 1000 * l.offset_s, 1000 * l.sigma_s);
+  return draw(folder, {{"latency.svg", found, table, kLatencyPlot}});
 }
 
 }  // namespace penumbra::tools

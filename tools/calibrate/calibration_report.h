@@ -9,6 +9,7 @@
 #include "calib/estimate/camera_calibration.h"
 #include "calib/estimate/colour_calibration.h"
 #include "calib/estimate/estimate_response.h"
+#include "calib/estimate/latency.h"
 #include "calib/estimate/noise_calibration.h"
 #include "calib/estimate/rig_calibration.h"
 #include "calib/estimate/vignetting_calibration.h"
@@ -56,5 +57,10 @@ Result<void> write_rig_report(const std::filesystem::path& folder,
                               std::span<const calib::RigCameraInput> cameras,
                               std::span<const Pose> poses,
                               const calib::RigCalibration& calibration);
+
+/// latency.svg (how fast camera and tracker turn), latency.csv. Without gnuplot only the last.
+/// errors: kUnwritable
+Result<void> write_latency_report(const std::filesystem::path& folder,
+                                  const calib::Latency& latency);
 
 }  // namespace penumbra::tools

@@ -18,6 +18,7 @@ void add_calibrate_vignetting(CLI::App& parent, Action& action);
 void add_calibrate_ball(CLI::App& parent, Action& action);
 void add_calibrate_noise(CLI::App& parent, Action& action);
 void add_calibrate_rig(CLI::App& parent, Action& action);
+void add_calibrate_latency(CLI::App& parent, Action& action);
 void add_calibrate_colour(CLI::App& parent, Action& action);
 void add_calibrate_import(CLI::App& parent, Action& action);
 

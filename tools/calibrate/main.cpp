@@ -14,6 +14,7 @@ int main(int argc, char** argv) {
                        add_calibrate_ball(app, action);
                        add_calibrate_noise(app, action);
                        add_calibrate_rig(app, action);
+                       add_calibrate_latency(app, action);
                        add_calibrate_colour(app, action);
                        add_calibrate_import(app, action);
                      });
