@@ -3,6 +3,7 @@
 #pragma once
 
 #include <optional>
+#include <string>
 #include <string_view>
 
 namespace penumbra::calib {
@@ -19,5 +20,7 @@ struct CameraPreset {
 
 /// usb_name: as the kernel tells it
 std::optional<CameraPreset> find_camera_preset(std::string_view usb_name);
+/// Two lines for people: what it is, and how its pictures and its calibration are read.
+std::string advice(const CameraPreset& preset);
 
 }  // namespace penumbra::calib

@@ -37,18 +37,38 @@ Result<std::unique_ptr<CameraDevice>> find_again(const CameraSettings& settings,
   return device;
 }
 
+Frame half_of(const Frame& whole, int camera, StereoHalf half, const CameraInfo& info) {
+  Frame out = whole;
+  out.camera = camera;
+  out.world_from_camera = info.world_from_camera;
+  out.jpeg.reset();  // of both halves
+  const int wide = info.projection.width;
+  out.pixels = std::make_shared<const FramePixels>(std::visit(
+      [&](const auto& picture) -> FramePixels {
+        std::decay_t<decltype(picture)> part(wide, picture.height());
+        for (int y = 0; y < part.height(); ++y)
+          std::ranges::copy(
+              picture.row(y).subspan(half == StereoHalf::kLeft ? 0 : static_cast<std::size_t>(wide),
+                                     static_cast<std::size_t>(wide)),
+              part.row(y).begin());
+        return part;
+      },
+      *whole.pixels));
+  return out;
+}
+
 }  // namespace
 
-// One camera and its thread.
+// One device and its thread.
 struct Rig::Station {
   Station(RigCamera c, int number, OpenCamera opener, Bounded<Frame>& out, Latest<Error>& error)
       : camera(std::move(c)),
         bracketed(camera.info, camera.schedule, camera.delay_frames, camera.light_error,
                   camera.settings.fps),
-        index(number),
         open(opener),
         frames(out),
         failed(error) {
+    shown.push_back({number, camera.half, camera.info});
     expect(camera.schedule);
   }
 
@@ -82,8 +102,12 @@ struct Rig::Station {
                      : silent + Seconds(std::chrono::steady_clock::now() - before);
         if (silent > kSilence + 4 * longest) bracketed.disconnect(), silent = Seconds(0);
         if (!frame || !*frame) continue;  // gone, or nothing yet
-        (*frame)->camera = index;
-        if (!frames.try_push(std::move(**frame)) && !frames.closed()) ++overrun;
+        for (ShownCamera& s : shown) {
+          Frame part = **frame;
+          part.camera = s.index;
+          if (s.half) part = half_of(**frame, s.index, *s.half, s.info);
+          if (!frames.try_push(std::move(part)) && !frames.closed()) ++s.overrun;
+        }
       }
     } catch (const std::exception& e) {
       failed.put({ErrorCode::kUnavailable, camera.info.name, e.what()});
@@ -103,16 +127,27 @@ struct Rig::Station {
   }
   void publish() {
     const std::scoped_lock lock(mutex);
-    counts = bracketed.counts();
-    counts.reconnected = reconnected;
-    counts.overrun = overrun;
-    counts.frames -= overrun;  // the bracketed camera handed them on
+    for (ShownCamera& s : shown) {
+      s.counts = bracketed.counts();
+      s.counts.reconnected = reconnected;
+      s.counts.overrun = s.overrun;
+      s.counts.frames -= s.overrun;  // the bracketed camera handed them on
+    }
   }
+
+  // A camera of the rig: all that the device shows, or a half of it.
+  struct ShownCamera {
+    int index;
+    std::optional<StereoHalf> half;
+    CameraInfo info;
+    std::uint64_t overrun = 0;
+    CameraCounts counts{};  // guarded by mutex
+  };
 
   RigCamera camera;
   BracketedCamera bracketed;
   std::string name;
-  int index;
+  std::vector<ShownCamera> shown;
   OpenCamera open;
   Bounded<Frame>& frames;
   Latest<Error>& failed;
@@ -120,9 +155,8 @@ struct Rig::Station {
   std::atomic<bool> can_take_darker = false;
   Latest<std::vector<Exposure>> wanted;
   Seconds longest{0}, silent{0};
-  std::uint64_t reconnected = 0, overrun = 0;
+  std::uint64_t reconnected = 0;
   mutable std::mutex mutex;
-  CameraCounts counts;  // guarded by mutex
   std::jthread thread;  // last: joined before the rest goes
 };
 
@@ -135,21 +169,34 @@ Result<std::unique_ptr<Rig>> Rig::open(std::vector<RigCamera> cameras, OpenCamer
   if (cameras.empty()) return fail(ErrorCode::kInvalid, "rig", "has no camera");
   auto rig = std::unique_ptr<Rig>(new Rig);
   std::vector<std::unique_ptr<CameraDevice>> devices;
-  for (RigCamera& camera : cameras) {
-    camera.settings.width = camera.info.projection.width;
-    camera.settings.height = camera.info.projection.height;
-    PENUMBRA_ASSIGN(device, open(camera.settings));
-    devices.push_back(std::move(device));
+  for (std::size_t i = 0; i < cameras.size(); ++i) {
+    RigCamera& camera = cameras[i];
     rig->infos_.push_back(camera.info);
     if (camera.info.role == Role::kView && rig->view_rate_ == 0)
       rig->view_rate_ = camera.settings.fps;
+    const auto other = std::ranges::find_if(rig->stations_, [&](const auto& s) {
+      return camera.half && s->camera.settings.device == camera.settings.device;
+    });
+    rig->station_of_.push_back(static_cast<std::size_t>(other - rig->stations_.begin()));
+    const int index = static_cast<int>(i);
+    if (other != rig->stations_.end()) {
+      (*other)->shown.push_back({index, camera.half, camera.info});
+      continue;
+    }
+    camera.settings.width = (camera.half ? 2 : 1) * camera.info.projection.width;
+    camera.settings.height = camera.info.projection.height;
+    PENUMBRA_ASSIGN(device, open(camera.settings));
+    devices.push_back(std::move(device));
+    rig->stations_.push_back(
+        std::make_unique<Station>(std::move(camera), index, open, rig->frames_, rig->failed_));
   }
-  for (std::size_t i = 0; i < cameras.size(); ++i) {
-    rig->stations_.push_back(std::make_unique<Station>(std::move(cameras[i]), static_cast<int>(i),
-                                                       open, rig->frames_, rig->failed_));
-    PENUMBRA_TRY(rig->stations_.back()->start(std::move(devices[i])));
-  }
+  for (std::size_t i = 0; i < devices.size(); ++i)
+    PENUMBRA_TRY(rig->stations_[i]->start(std::move(devices[i])));
   return rig;
+}
+
+Rig::Station& Rig::station_of(int camera) {
+  return *stations_[station_of_.at(static_cast<std::size_t>(camera))];
 }
 
 Result<std::optional<Frame>> Rig::next() {
@@ -165,14 +212,14 @@ void Rig::close() {
 }
 
 bool Rig::take_darker(int camera, double factor) {
-  Station& station = *stations_.at(static_cast<std::size_t>(camera));
+  Station& station = station_of(camera);
   if (!station.can_take_darker) return false;
   station.darker = factor;
   return true;
 }
 
 Result<void> Rig::set_exposures(int camera, const std::vector<Exposure>& exposures) {
-  Station& station = *stations_.at(static_cast<std::size_t>(camera));
+  Station& station = station_of(camera);
   if (!station.bracketed.sets_exposures())
     return fail(ErrorCode::kInvalid, station.camera.info.name,
                 "stays at the exposure that it has: the rig file gives it no exposures_s");
@@ -181,10 +228,11 @@ Result<void> Rig::set_exposures(int camera, const std::vector<Exposure>& exposur
 }
 
 std::vector<CameraCounts> Rig::counts() const {
-  std::vector<CameraCounts> out;
+  std::vector<CameraCounts> out(infos_.size());
   for (const auto& station : stations_) {
     const std::scoped_lock lock(station->mutex);
-    out.push_back(station->counts);
+    for (const Station::ShownCamera& s : station->shown)
+      out[static_cast<std::size_t>(s.index)] = s.counts;
   }
   return out;
 }

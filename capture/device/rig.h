@@ -14,8 +14,12 @@
 #pragma GCC visibility push(default)
 namespace penumbra::capture {
 
+/// Of a picture that shows both eyes side by side.
+enum class StereoHalf { kLeft, kRight };
+
 struct RigCamera {
-  CameraInfo info;  // the projection has the size that is asked of the camera
+  CameraInfo info;  // the projection has the size that is asked of the camera, or half of it
+  std::optional<StereoHalf> half{};  // nothing: all of the picture
   CameraSettings settings;
   // In turn; one: fixed; none: as the camera stands, counted as one second
   std::vector<Exposure> schedule;
@@ -34,6 +38,8 @@ using OpenCamera = Result<std::unique_ptr<CameraDevice>> (*)(const CameraSetting
 /// threads: next() and cameras() thread-bound; all others thread-safe
 class Rig : public FrameSource {
  public:
+  /// Two cameras of one device are the halves of its pictures: the first one's settings and
+  /// exposures count for both.
   /// errors: as open_camera; kInvalid (a schedule for a camera whose exposure cannot be set)
   static Result<std::unique_ptr<Rig>> open(std::vector<RigCamera> cameras,
                                            OpenCamera open = open_camera);
@@ -55,11 +61,13 @@ class Rig : public FrameSource {
  private:
   struct Station;
   Rig();
+  Station& station_of(int camera);
   std::vector<CameraInfo> infos_;
   double view_rate_ = 0;
   Bounded<Frame> frames_;
   Latest<Error> failed_;  // of a thread, before frames_ is closed
   std::vector<std::unique_ptr<Station>> stations_;
+  std::vector<std::size_t> station_of_;  // by camera
 };
 
 }  // namespace penumbra::capture

@@ -10,9 +10,9 @@ namespace penumbra::capture {
 namespace fs = std::filesystem;
 namespace {
 
-constexpr std::string_view kDeviceKeys[] = {"device",       "format",      "fps",
-                                            "exposures_s",  "gains",       "unit_gain",
-                                            "delay_frames", "light_error", "white_balance_k"};
+constexpr std::string_view kDeviceKeys[] = {
+    "device",    "format",       "fps",         "exposures_s",     "gains",
+    "unit_gain", "delay_frames", "light_error", "white_balance_k", "half"};
 
 Result<std::vector<Exposure>> read_schedule(const TomlKeys& keys) {
   if (!keys.has("exposures_s")) return std::vector<Exposure>();
@@ -45,6 +45,17 @@ Result<void> read_exposures(const TomlKeys& keys, RigCamera& camera) {
   PENUMBRA_ASSIGN(error, keys.number("light_error"));
   if (!(error > 0 && error < 1)) return keys.invalid("light_error", "is not above 0 and below 1");
   camera.light_error = error;
+  return {};
+}
+
+Result<void> read_half(const TomlKeys& keys, RigCamera& camera) {
+  if (!keys.has("half")) return {};
+  PENUMBRA_ASSIGN(half, keys.text("half"));
+  if (half != "left" && half != "right")
+    return keys.invalid("half", "is neither \"left\" nor \"right\"");
+  if (camera.light_error)
+    return keys.invalid("half", "excludes exposures_s = \"auto\", which looks at whole pictures");
+  camera.half = half == "left" ? StereoHalf::kLeft : StereoHalf::kRight;
   return {};
 }
 
@@ -96,7 +107,28 @@ Result<RigCamera> read_rig_camera(const TomlKeys& keys) {
     camera.delay_frames = delay;
   }
   PENUMBRA_TRY(read_exposures(keys, camera));
+  PENUMBRA_TRY(read_half(keys, camera));
   return camera;
+}
+
+// A second camera of one device is the other half of its pictures, and says nothing else of it.
+Result<void> check_same_device(const TomlKeys& keys, const RigCamera& camera,
+                               const RigCamera& other) {
+  const std::string& device = camera.settings.device;
+  if (!camera.half || !other.half)
+    return keys.invalid("device", fmt::format("\"{}\" is used twice", device));
+  if (camera.half == other.half)
+    return keys.invalid("half", fmt::format("is the same one of \"{}\" twice", device));
+  for (const std::string_view key : kDeviceKeys)
+    if (key != "device" && key != "half" && keys.has(key))
+      return keys.invalid(std::string(key).c_str(),
+                          fmt::format("is told with the other half, \"{}\"", other.info.name));
+  const calib::CameraModel &a = camera.info.projection, &b = other.info.projection;
+  if (a.width != b.width || a.height != b.height)
+    return keys.invalid("width", fmt::format("and height differ from those of the other half, "
+                                             "\"{}\"",
+                                             other.info.name));
+  return {};
 }
 
 }  // namespace
@@ -113,8 +145,7 @@ Result<std::vector<RigCamera>> read_rig_cameras(const fs::path& path) {
       if (other.info.name == camera.info.name)
         return camera_keys.invalid("name", fmt::format("\"{}\" is used twice", other.info.name));
       if (other.settings.device == camera.settings.device)
-        return camera_keys.invalid("device",
-                                   fmt::format("\"{}\" is used twice", other.settings.device));
+        PENUMBRA_TRY(check_same_device(camera_keys, camera, other));
     }
     cameras.push_back(std::move(camera));
   }

@@ -161,6 +161,69 @@ TEST_F(RigOfFakes, CountsWhatComesWhileTheQueueIsFull) {
   EXPECT_EQ(counts[0].lost + counts[1].lost, 0u) << "the cameras delivered all";
 }
 
+std::atomic<int> asked_width;
+
+Result<std::unique_ptr<CameraDevice>> open_stereo(const CameraSettings& settings) {
+  ++opened;
+  asked_width = settings.width;
+  Image<Rgb> both(settings.width, settings.height, {20, 20, 20});
+  for (int y = 0; y < both.height(); ++y)
+    for (int x = both.width() / 2; x < both.width(); ++x) both.at(x, y) = {90, 90, 90};
+  test::FakeCameraBehaviour b;
+  b.fps = 60, b.paced = true;
+  return std::make_unique<FakeCamera>(both, b);
+}
+
+TEST_F(RigOfFakes, OneDeviceShowsBothEyesSideBySide) {
+  std::vector<RigCamera> eyes = cameras();
+  for (RigCamera& c : eyes) {
+    c.info.role = Role::kView;
+    c.info.projection = *calib::make_projection(calib::ProjectionKind::kPinhole, 32, 16);
+    c.settings.device = "stereo";
+  }
+  eyes[0].half = StereoHalf::kRight;  // in whatever order
+  eyes[1].half = StereoHalf::kLeft;
+  eyes[1].info.world_from_camera.translation = {-.064, 0, 0};
+  auto rig = Rig::open(eyes, open_stereo);
+  ASSERT_TRUE(rig);
+  EXPECT_EQ(opened, 1);
+  EXPECT_EQ(asked_width, 64);
+  ASSERT_EQ((*rig)->cameras().size(), 2u);
+  TimestampNs time[2];
+  double mean[2] = {};
+  for (int k = 0; k < 20; ++k) {
+    const auto frame = (*rig)->next();
+    ASSERT_TRUE(frame && *frame);
+    const auto camera = static_cast<std::size_t>((*frame)->camera);
+    EXPECT_EQ(camera, static_cast<std::size_t>(k % 2)) << "each moment gives both";
+    time[camera] = (*frame)->time;
+    EXPECT_EQ((*frame)->world_from_camera.translation.x, camera == 1 ? -.064 : 0);
+    EXPECT_EQ(width(*(*frame)->pixels), 32);
+    EXPECT_EQ(height(*(*frame)->pixels), 16);
+    const auto& codes = std::get<Image<Rgb8>>(*(*frame)->pixels);
+    double sum = 0;
+    for (const Rgb8& c : codes.pixels()) sum += c.g;
+    mean[camera] = sum / double(codes.area());
+    if (camera == 1) EXPECT_EQ(time[0], time[1]);
+  }
+  EXPECT_GT(mean[0], 1.5 * mean[1]) << "the right half is the bright one";
+  const auto counts = (*rig)->counts();
+  ASSERT_EQ(counts.size(), 2u);
+  EXPECT_EQ(counts[0].arrived, counts[1].arrived);
+  EXPECT_TRUE((*rig)->take_darker(1, .125)) << "the device's, for both";
+}
+
+TEST_F(RigOfFakes, AHalfMayBeAlone) {
+  std::vector<RigCamera> one = {cameras()[1]};
+  one[0].half = StereoHalf::kLeft;
+  auto rig = Rig::open(one, open_stereo);
+  ASSERT_TRUE(rig);
+  EXPECT_EQ(asked_width, 64);
+  const auto frame = (*rig)->next();
+  ASSERT_TRUE(frame && *frame);
+  EXPECT_EQ(width(*(*frame)->pixels), 32);
+}
+
 TEST_F(RigOfFakes, ClosesAHundredTimesInMidStream) {
   for (int i = 0; i < 100; ++i) {
     auto rig = Rig::open(cameras(), open_fake);
@@ -259,6 +322,38 @@ TEST(RigFile, ExposuresMayBeLeftToTheLight) {
     EXPECT_TRUE(cameras->front().schedule.empty());
     EXPECT_EQ(cameras->front().light_error, error);
   }
+}
+
+TEST(RigFile, TwoCamerasMayBeTheHalvesOfOneDevice) {
+  const test::TempFolder folder;
+  const auto camera = [](const std::string& name, const std::string& more) {
+    return "[[camera]]\nname = \"" + name + "\"\nrole = \"view\"\neye = \"" + name +
+           "\"\nheight = 48\nprojection = \"pinhole\"\nresponse = \"srgb\"\n"
+           "device = \"/dev/video0\"\n" +
+           more;
+  };
+  const std::string width = "width = 64\n", left = "half = \"left\"\n",
+                    right = "half = \"right\"\n",
+                    first = camera("left", width + left + "fps = 54\nexposures_s = [0.004]\n");
+  write(folder.path() / "rig.toml", first + camera("right", width + right));
+  const auto eyes = read_rig_cameras(folder.path() / "rig.toml");
+  ASSERT_TRUE(eyes) << eyes.error().where << eyes.error().detail;
+  EXPECT_EQ((*eyes)[0].half, StereoHalf::kLeft);
+  EXPECT_EQ((*eyes)[1].half, StereoHalf::kRight);
+  const auto refused = [&](const std::string& text, const std::string& reason) {
+    write(folder.path() / "rig.toml", text);
+    const auto read = read_rig_cameras(folder.path() / "rig.toml");
+    ASSERT_FALSE(read) << reason;
+    EXPECT_NE((read.error().where + read.error().detail).find(reason), std::string::npos)
+        << read.error().where << " " << read.error().detail;
+  };
+  refused(first + camera("right", width), "is used twice");
+  refused(first + camera("right", width + left), "half: is the same one");
+  refused(first + camera("right", width + right + "fps = 30\n"),
+          "fps: is told with the other half");
+  refused(first + camera("right", "width = 60\n" + right), "differ from those of the other half");
+  refused(camera("left", width + "half = \"top\"\n"), "neither \"left\" nor \"right\"");
+  refused(camera("left", width + left + "exposures_s = \"auto\"\n"), "whole pictures");
 }
 
 TEST(RigFile, BadValuesNameTheirKeyAndLine) {

@@ -9,6 +9,7 @@
 #include "calib/camera/camera_model.h"
 #include "calib/camera/response.h"
 #include "calib/camera/vignetting.h"
+#include "calib/import/camera_presets.h"
 #include "capture/device/cameras.h"
 #include "capture/device/rig.h"
 #include "capture/frames.h"
@@ -266,6 +267,17 @@ json to_json(const std::optional<capture::ControlRange>& range) {
   return range ? json{range->low, range->high} : json(nullptr);
 }
 
+json to_json(const std::optional<calib::CameraPreset>& preset) {
+  if (!preset) return nullptr;
+  return {{"headset", preset->headset},
+          {"width", preset->width},
+          {"height", preset->height},
+          {"format", preset->pixel_format},
+          {"fps", preset->rate_hz},
+          {"side_by_side", preset->side_by_side},
+          {"calibration", preset->calibration}};
+}
+
 Result<void> inspect_cameras(bool as_json) {
   const capture::CameraList list = capture::list_cameras();
   json cameras = json::array();
@@ -280,6 +292,7 @@ Result<void> inspect_cameras(bool as_json) {
     cameras.push_back({{"device", c.device},
                        {"name", c.name},
                        {"driver", c.driver},
+                       {"passes_through", to_json(calib::find_camera_preset(c.name))},
                        {"exposure_s", to_json(c.exposure_s)},
                        {"gain", to_json(c.gain)},
                        {"modes", modes}});
@@ -293,6 +306,8 @@ Result<void> inspect_cameras(bool as_json) {
   }
   for (const capture::CameraListing& c : list.cameras) {
     fmt::print("{}: {} ({})\n", c.device, c.name, c.driver);
+    if (const auto preset = calib::find_camera_preset(c.name))
+      fmt::print("{}", calib::advice(*preset));
     if (c.exposure_s)
       fmt::print("  exposure {:g} to {:g} s\n", c.exposure_s->low, c.exposure_s->high);
     else
