@@ -113,6 +113,43 @@ TEST_F(Vivid, EveryFormatShowsTheBarsThatPlainRgbShows) {
   EXPECT_EQ(formats, 23);
 }
 
+TEST_F(Vivid, BothEyesSideBySideAreTwoCamerasOfOneDevice) {
+  std::vector<RigCamera> eyes(2);
+  for (RigCamera& eye : eyes) {
+    eye.info.role = Role::kView;
+    eye.info.projection = *calib::make_projection(calib::ProjectionKind::kPinhole, 320, 360);
+    eye.info.response = calib::Response::srgb();
+    eye.settings = settings("RGB3");
+  }
+  eyes[0].info.name = "left", eyes[0].half = StereoHalf::kLeft;
+  eyes[1].info.name = "right", eyes[1].half = StereoHalf::kRight;
+  auto rig = Rig::open(eyes);
+  ASSERT_TRUE(rig) << rig.error().where << " " << rig.error().detail;
+  Image<Rgb8> both(640, 360);
+  TimestampNs left_time;
+  for (int camera = 0; camera < 2; ++camera) {
+    const auto frame = (*rig)->next();
+    ASSERT_TRUE(frame && *frame);
+    ASSERT_EQ((*frame)->camera, camera);
+    if (camera == 0)
+      left_time = (*frame)->time;
+    else
+      EXPECT_EQ((*frame)->time, left_time);
+    const auto half = as_8_bit(*(*frame)->pixels);
+    ASSERT_EQ(half.width(), 320);
+    for (int y = 0; y < 360; ++y)
+      std::ranges::copy(half.row(y), both.row(y).begin() + 320 * camera);
+  }
+  rig->reset();
+  auto whole = open_camera(settings("RGB3"));
+  ASSERT_TRUE(whole) << whole.error().detail;
+  const auto picture = first_frame(**whole);
+  ASSERT_TRUE(picture);
+  const std::vector<Rgb> seen = bars(both), expected = bars(as_8_bit(picture->pixels));
+  for (std::size_t bar = 0; bar < 8; ++bar)
+    for (int c = 0; c < 3; ++c) EXPECT_NEAR(seen[bar][c], expected[bar][c], 2) << bar;
+}
+
 TEST_F(Vivid, FramesCarryTheDriversNumbersAndRisingMonotonicTimes) {
   auto camera = open_camera(settings("YUYV"));
   ASSERT_TRUE(camera) << camera.error().detail;
