@@ -1,7 +1,9 @@
 #include "service/serve.h"
 
+#include <fmt/ranges.h>
 #include <malloc.h>
 
+#include <algorithm>
 #include <atomic>
 #include <chrono>
 #include <csignal>
@@ -14,6 +16,7 @@
 #include <vector>
 
 #include "capture/frames.h"
+#include "core/io/files.h"
 #include "core/io/log.h"
 #include "core/threads/stop_signal.h"
 #include "runtime/pipeline/pipeline.h"
@@ -23,8 +26,10 @@
 #include "service/http/published_state.h"
 #include "service/light_page.h"
 #include "service/outputs/frame_output.h"
+#include "service/outputs/output_set.h"
 #include "service/recording/live_recording.h"
 #include "service/rig_config.h"
+#include "service/rig_reload.h"
 #include "service/rig_source.h"
 #include "service/scene/scene_control.h"
 #include "service/scene/scene_keeper.h"
@@ -122,15 +127,24 @@ HttpOptions http_options(const RigConfig& c) {
   return out;
 }
 
-}  // namespace
+// By OutputSet::kKinds.
+OutputSet::Targets targets_of(const RigConfig& c) {
+  return {c.pipewire, c.v4l2, c.y4m};
+}
 
-namespace {
+// Where the configuration came from, and what it said then.
+struct RigFile {
+  fs::path path;  // empty: from no file
+  std::string text;
+};
 
 // The camera's picture and the light at once, objects as they are baked.
 class Service {
  public:
-  Service(const RigConfig& config, const ProgressOf& progress)
+  Service(const RigConfig& config, RigFile file, const ProgressOf& progress)
       : config_(config),
+        file_(std::move(file)),
+        error_limit_(config.max_shadow_error),
         recording_(config.recordings),
         progress_([this, progress](const std::string& work) {
           return [this, work, shown = progress(work)](double done) {
@@ -142,16 +156,19 @@ class Service {
 
  private:
   Result<void> listen();
-  Result<void> open_outputs(double rate_hz);
   Result<void> compose(capture::FrameSource& source, const std::atomic<bool>& stop);
   [[noreturn]] void end_at_once(const std::optional<Error>& failed);
   void reload();
+  Result<void> reload_rig();
+  void reload_scene();
   void publish(const runtime::Output& out, const capture::FrameSource& source,
                const Pipeline& pipeline);
   void publish_pose(const capture::Frame& frame);
   void show_in_headset(const runtime::Output& out, const capture::FrameSource& source);
 
   const RigConfig& config_;
+  const RigFile file_;
+  double error_limit_;  // as rig.toml last had it
   PublishedState state_;
   LiveRecording recording_;
   SceneControl objects_;
@@ -160,7 +177,7 @@ class Service {
   std::shared_ptr<StageTimes> times_ = std::make_shared<StageTimes>();
   std::unique_ptr<HttpApi> tcp_, socket_;
   std::unique_ptr<LightPage> page_;
-  std::vector<std::unique_ptr<FrameOutput>> outputs_;
+  OutputSet outputs_;
   std::shared_ptr<Headset> headset_;
   RigSource rig_;
   std::mutex scenes_mutex_;
@@ -168,12 +185,45 @@ class Service {
   runtime::Scene scene_now_;  // as its file was last read
 };
 
-// Of what the scene file says now.
 void Service::reload() {
+  notify_system("RELOADING=1");
+  if (const auto done = reload_rig(); !done)
+    log_warning("reload: the rig stays as it is: {}: {}", done.error().where, done.error().detail);
+  reload_scene();
+  notify_system("READY=1");
+}
+
+// The limit of the errors and the outputs as rig.toml has them now; of the rest it says that it
+// waits.
+Result<void> Service::reload_rig() {
+  if (file_.path.empty()) return {};
+  PENUMBRA_ASSIGN(now, read_rig_config(file_.path));
+  PENUMBRA_ASSIGN(text, read_text(file_.path));
+  PENUMBRA_ASSIGN(keys, changed_keys(file_.text, text, file_.path));
+  // What clients asked for stays where the file says what it said.
+  if (now.max_shadow_error != error_limit_) {
+    PENUMBRA_TRY(objects_.set_max_shadow_error(now.max_shadow_error));
+    error_limit_ = now.max_shadow_error;
+    log_info("reload: light.max_shadow_error is {:g}", error_limit_);
+  }
+  outputs_.change(targets_of(now));
+  std::erase_if(keys, [](const std::string& key) {
+    return key == "light.max_shadow_error" ||
+           std::ranges::any_of(OutputSet::kKinds, [&](std::string_view output) {
+             return key == fmt::format("output.{}", output);
+           });
+  });
+  if (!keys.empty())
+    log_warning("reload: {} of {} counts from the next start", fmt::join(keys, ", "),
+                file_.path.string());
+  return {};
+}
+
+// Of what the scene file says now.
+void Service::reload_scene() {
   if (!config_.scene) return log_info("reload: the studio's own scene has no file");
   if (!objects_.follows_file())
     return log_info("reload: another scene was asked for: {} is not looked at", *config_.scene);
-  notify_system("RELOADING=1");
   const auto now = runtime::read_scene(*config_.scene);
   if (now) {
     const runtime::Scene shown = [&] {
@@ -187,7 +237,6 @@ void Service::reload() {
   } else {
     log_warning("reload: the scene stays as it is: {}: {}", now.error().where, now.error().detail);
   }
-  notify_system("READY=1");
 }
 
 void Service::publish(const runtime::Output& out, const capture::FrameSource& source,
@@ -197,10 +246,9 @@ void Service::publish(const runtime::Output& out, const capture::FrameSource& so
   if (page_) page_->write(pipeline.objects(), out.source.time);
   publish_pose(out.source);
   if (config_.openxr) show_in_headset(out, source);
-  if (outputs_.empty()) return;
+  outputs_.show(out.pixels, out.source.time);
   std::vector<PublishedState::OutputState> states;
-  for (const auto& output : outputs_) {
-    output->show(out.pixels, out.source.time);
+  for (const FrameOutput* const output : outputs_.all()) {
     const FrameOutput::OutputCounts counts = output->counts();
     states.push_back({output->name(), counts.shown, counts.overtaken, output->trouble()});
   }
@@ -254,19 +302,6 @@ Result<void> Service::listen() {
                 "has neither a port nor a socket: nobody could ask for anything");
   PENUMBRA_ASSIGN(page, make_at(config_.light_page, "light", LightPage::create));
   page_ = std::move(page);
-  return {};
-}
-
-Result<void> Service::open_outputs(double rate_hz) {
-  const auto add = [&](Result<std::unique_ptr<FrameOutput>> made) -> Result<void> {
-    PENUMBRA_ASSIGN(output, std::move(made));
-    outputs_.push_back(std::move(output));
-    return {};
-  };
-  if (!config_.pipewire.empty())
-    PENUMBRA_TRY(add(FrameOutput::to_pipewire({.name = config_.pipewire, .rate_hz = rate_hz})));
-  if (!config_.v4l2.empty()) PENUMBRA_TRY(add(FrameOutput::to_v4l2(config_.v4l2)));
-  if (!config_.y4m.empty()) PENUMBRA_TRY(add(FrameOutput::to_y4m(config_.y4m, rate_hz)));
   return {};
 }
 
@@ -360,7 +395,7 @@ Result<void> Service::run() {
   rig_ = std::move(rig);
   scene_now_ = shown_ = rig_.scene;
   PENUMBRA_TRY(Pipeline::check(rig_.source->cameras()));
-  PENUMBRA_TRY(open_outputs(rig_.source->view_rate()));
+  PENUMBRA_TRY(outputs_.open(targets_of(config_), rig_.source->view_rate()));
   state_.describe_source(rig_.source->cameras(), rig_.source->view_rate());
   if (tcp_) log_info("listening on http://{}:{}", config_.address, tcp_->port());
   if (socket_) log_info("listening on the socket {}", socket_->socket().string());
@@ -380,11 +415,16 @@ Result<void> serve(const ServeOptions& o, const ProgressOf& progress) {
   ::mallopt(M_ARENA_MAX, kArenas);
   limit_log_rate(kBetweenSameLines_s);
   PENUMBRA_ASSIGN(config, o.quick ? quick_rig(*o.quick) : read_rig_config(o.config));
+  RigFile file;
+  if (!o.quick) {
+    PENUMBRA_ASSIGN(text, read_text(o.config));
+    file = {o.config, std::move(text)};
+  }
   std::signal(SIGHUP, SIG_IGN);  // until there is something to reload
   std::signal(SIGUSR1, SIG_IGN);
   std::signal(SIGPIPE, SIG_IGN);  // a client or a reader that left, and
   std::signal(SIGXFSZ, SIG_IGN);  // a file that may not grow, are errors where they are met
-  return Service(config, progress).run();
+  return Service(config, std::move(file), progress).run();
 }
 
 }  // namespace penumbra::service

@@ -869,6 +869,32 @@ class Serve(CliTest):
         self.process.send_signal(signal.SIGHUP)
         self.wait_for("not refused", lambda: any("stays as it is" in line for line in self.lines))
 
+    def check_rig(self):
+        """The limit of the errors and the outputs follow rig.toml on SIGHUP; the rest waits and is named."""
+        rig, picture = self.root / "rig.toml", self.root / "picture.y4m"
+        text = rig.read_text()
+        state = lambda: json.loads(self.get("/v1/state")[2])
+        limit = lambda: state()["budget"]["max_shadow_error"]
+        self.assertEqual(limit(), .05)
+        changed = text.replace("bands = 2", "bands = 3\nmax_shadow_error = 0.11")
+        rig.write_text(changed + '[output]\ny4m = "picture.y4m"\n')
+        self.process.send_signal(signal.SIGHUP)
+        self.wait_for("another limit", lambda: limit() == .11)
+        self.wait_for("no picture", lambda: picture.exists() and picture.stat().st_size > 3 * 128 * 96)
+        self.wait_for("the rest is not named", lambda: any("light.bands of" in line and "next start" in line
+                                                           for line in self.lines))
+        self.assertEqual(len(state()["outputs"]), 1)
+        rig.write_text(changed + '[output]\ny4m = "nowhere/picture.y4m"\n')
+        self.process.send_signal(signal.SIGHUP)
+        self.wait_for("no error", lambda: any("output.y4m is missing" in line for line in self.lines))
+        self.wait_for("the output stays", lambda: not state()["outputs"])
+        rig.write_text("version = 1\n[capture\n")
+        self.process.send_signal(signal.SIGHUP)
+        self.wait_for("not refused", lambda: any("the rig stays as it is" in line for line in self.lines))
+        rig.write_text(text)
+        self.process.send_signal(signal.SIGHUP)
+        self.wait_for("not as at first", lambda: limit() == .05)
+
     def test_service_answers_and_ends_when_told(self):
         self.assertGreater(self.wait_until_ok()["frames"], 0)
         status, kind, body = self.get("/v1/light")
@@ -887,6 +913,7 @@ class Serve(CliTest):
             self.assertEqual((status, kind), (404, "application/json"), path)
             self.assertIn("error", json.loads(body))
         self.assertGreaterEqual(self.get("/healthz", "DELETE")[0], 400)
+        self.check_rig()
         self.check_objects()
         self.process.send_signal(signal.SIGTERM)
         self.assertEqual(self.process.wait(timeout=60 * PATIENCE), 0, "".join(self.lines))
