@@ -68,14 +68,15 @@ class StepFit {
     return turned_by(*from, *to);
   }
 
-  // Mean of Huber's loss; nothing where the tracker is silent for a fifth of the steps.
+  // Mean of a loss that wrong boards add the same to at every offset; nothing where the tracker is
+  // silent for a fifth of the steps.
   std::optional<double> cost(double offset_s) const {
     double sum = 0;
     std::size_t known = 0;
     for (const CameraStep& step : steps_)
       if (const auto angle = tracker_angle(step, offset_s)) {
-        const double r = std::abs(step.angle_rad - *angle);
-        sum += r < kOutlier ? r * r / 2 : kOutlier * (r - kOutlier / 2);
+        const double r = std::min(std::abs(step.angle_rad - *angle), kOutlier);
+        sum += r * r / 2;
         ++known;
       }
     if (5 * known < 4 * steps_.size() || known < kFewestSteps) return std::nullopt;
@@ -105,7 +106,7 @@ class StepFit {
         variance +=
             (1 - std::abs(k) / (lag + 1.)) * scores[i] * scores[static_cast<std::size_t>(j)];
       }
-    return {offset_s, curvature > 0 ? std::sqrt(variance) / curvature : 0};
+    return {offset_s, curvature > 0 ? std::sqrt(std::max(0., variance)) / curvature : 0};
   }
 
  private:
@@ -182,6 +183,14 @@ Result<double> best_on_grid(const StepFit& fit, double max_offset_s) {
   return offset(best);
 }
 
+// The tracker may have run for hours.
+std::span<const TurnSample> during(std::span<const TurnSample> samples, double from_s,
+                                   double to_s) {
+  const auto first = std::ranges::lower_bound(samples, from_s, {}, &TurnSample::time_s),
+             last = std::ranges::upper_bound(samples, to_s, {}, &TurnSample::time_s);
+  return {first, last};
+}
+
 double deviation(std::span<const CameraStep> steps) {
   if (steps.empty()) return 0;
   double sum = 0, squares = 0;
@@ -193,10 +202,10 @@ double deviation(std::span<const CameraStep> steps) {
 }  // namespace
 
 Result<Latency> estimate_latency(std::span<const TurnSample> camera,
-                                 std::span<const TurnSample> tracker,
+                                 std::span<const TurnSample> all_of_tracker,
                                  const LatencyOptions& options) {
   PENUMBRA_TRY(check(camera, "camera"));
-  PENUMBRA_TRY(check(tracker, "tracker"));
+  PENUMBRA_TRY(check(all_of_tracker, "tracker"));
   if (!(options.max_offset_s > 0 && options.max_offset_s <= 10))
     return fail(ErrorCode::kInvalid, kWhere, "the largest offset is not within 0..10 s");
   const std::vector<CameraStep> steps = steps_of(camera);
@@ -211,6 +220,9 @@ Result<Latency> estimate_latency(std::span<const TurnSample> camera,
                 fmt::format("the rig turns by {:.1f} degrees more or less within {:.0f} ms: turn "
                             "it to and fro faster, by 20 degrees or more",
                             turned / kOneDegree, 1000 * kStep_s));
+  const auto tracker =
+      during(all_of_tracker, steps.front().from_s - options.max_offset_s - kLongestGap_s,
+             steps.back().to_s + options.max_offset_s + kLongestGap_s);
   if (const double of_tracker = deviation(steps_of(tracker)); of_tracker < kMinTurn)
     return fail(ErrorCode::kUndetermined, kWhere,
                 fmt::format("the tracker turns by {:.1f} degrees more or less within {:.0f} ms and "
@@ -238,11 +250,13 @@ Result<Latency> estimate_latency(std::span<const TurnSample> camera,
                             "still?",
                             out.residual_rad / kOneDegree, turned / kOneDegree));
   const std::span<const CameraStep> all(steps);
-  const std::size_t half = all.size() / 2;
-  const auto first = StepFit(all.first(half), tracker).refine(offset_s),
-             second = StepFit(all.subspan(half), tracker).refine(offset_s);
-  out.drift_s = second.offset_s - first.offset_s;
-  out.drift_sigma_s = std::hypot(first.sigma_s, second.sigma_s);
+  const auto earlier = all.first(all.size() / 2), later = all.subspan(all.size() / 2);
+  if (deviation(earlier) >= kMinTurn && deviation(later) >= kMinTurn) {
+    const auto first = StepFit(earlier, tracker).refine(offset_s),
+               second = StepFit(later, tracker).refine(offset_s);
+    out.drift_s = second.offset_s - first.offset_s;
+    out.drift_sigma_s = std::hypot(first.sigma_s, second.sigma_s);
+  }
   return out;
 }
 

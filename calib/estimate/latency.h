@@ -6,6 +6,7 @@
 #pragma once
 
 #include <glm/gtc/quaternion.hpp>
+#include <optional>
 #include <span>
 #include <vector>
 
@@ -34,8 +35,10 @@ struct TurnStep {
 struct Latency {
   double offset_s = 0;  // a frame of camera time t was taken at t + offset of the tracker's
   double sigma_s = 0;   // one standard deviation
-  // By how much the second half's offset exceeds the first's: clocks that run apart
-  double drift_s = 0, drift_sigma_s = 0;
+  // By how much the second half's offset exceeds the first's: clocks that run apart. Nothing where
+  // one of them hardly turns.
+  std::optional<double> drift_s{};
+  double drift_sigma_s = 0;
   double residual_rad = 0;  // of the steps' angles: 1.48 medians, a standard deviation
   std::vector<TurnStep> steps;
 };

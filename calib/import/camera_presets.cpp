@@ -20,13 +20,16 @@ std::optional<CameraPreset> find_camera_preset(std::string_view usb_name) {
   return std::nullopt;
 }
 
-std::string advice(const CameraPreset& preset) {
+std::string advice(const CameraPreset& p) {
+  const std::string frames =
+      p.side_by_side
+          ? fmt::format("two cameras of width = {} and height = {}, half = \"left\" and \"right\"",
+                        p.width / 2, p.height)
+          : fmt::format("width = {}, height = {}", p.width, p.height);
   return fmt::format(
-      "{}: {}x{} {} at {:g} frames a second{}\n"
-      "lenses and poses: penumbra calibrate import FILE, of {}\n",
-      preset.headset, preset.width, preset.height, preset.pixel_format, preset.rate_hz,
-      preset.side_by_side ? "; half = \"left\" and half = \"right\" are its eyes" : "",
-      preset.calibration);
+      "  as in a {}: {}, format = \"{}\", fps = {:g}\n"
+      "  its lenses and poses: penumbra calibrate import FILE, of {}\n",
+      p.headset, frames, p.pixel_format, p.rate_hz, p.calibration);
 }
 
 }  // namespace penumbra::calib

@@ -20,7 +20,7 @@ struct CameraPreset {
 
 /// usb_name: as the kernel tells it
 std::optional<CameraPreset> find_camera_preset(std::string_view usb_name);
-/// Two lines for people: what it is, and how its pictures and its calibration are read.
+/// Two indented lines for people: what rig.toml says of it, and where its calibration is.
 std::string advice(const CameraPreset& preset);
 
 }  // namespace penumbra::calib

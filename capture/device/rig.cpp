@@ -1,6 +1,7 @@
 #include "capture/device/rig.h"
 
 #include <algorithm>
+#include <array>
 #include <atomic>
 #include <chrono>
 #include <mutex>
@@ -35,6 +36,12 @@ Result<std::unique_ptr<CameraDevice>> find_again(const CameraSettings& settings,
     if (auto found = open(there)) return found;
   }
   return device;
+}
+
+bool are_halves(const RigCamera& a, const RigCamera& b) {
+  const calib::CameraModel &of_a = a.info.projection, &of_b = b.info.projection;
+  return a.half && b.half && a.half != b.half && a.info.role == b.info.role &&
+         of_a.width == of_b.width && of_a.height == of_b.height;
 }
 
 Frame half_of(const Frame& whole, int camera, StereoHalf half, const CameraInfo& info) {
@@ -102,17 +109,22 @@ struct Rig::Station {
                      : silent + Seconds(std::chrono::steady_clock::now() - before);
         if (silent > kSilence + 4 * longest) bracketed.disconnect(), silent = Seconds(0);
         if (!frame || !*frame) continue;  // gone, or nothing yet
-        for (ShownCamera& s : shown) {
-          Frame part = **frame;
-          part.camera = s.index;
-          if (s.half) part = half_of(**frame, s.index, *s.half, s.info);
-          if (!frames.try_push(std::move(part)) && !frames.closed()) ++s.overrun;
-        }
+        hand_on(std::move(**frame));
       }
     } catch (const std::exception& e) {
       failed.put({ErrorCode::kUnavailable, camera.info.name, e.what()});
       frames.close();
     }
+  }
+  // Both eyes of a moment, or none of them.
+  void hand_on(Frame frame) {
+    std::array<Frame, 2> parts;
+    for (std::size_t i = 0; i < shown.size(); ++i) {
+      const ShownCamera& s = shown[i];
+      parts[i] = s.half ? half_of(frame, s.index, *s.half, s.info) : frame;
+      parts[i].camera = s.index;
+    }
+    if (!frames.try_push_all(std::span(parts).first(shown.size())) && !frames.closed()) ++overrun;
   }
   // How long no frame is no reason to worry.
   void expect(const std::vector<Exposure>& exposures) {
@@ -130,8 +142,8 @@ struct Rig::Station {
     for (ShownCamera& s : shown) {
       s.counts = bracketed.counts();
       s.counts.reconnected = reconnected;
-      s.counts.overrun = s.overrun;
-      s.counts.frames -= s.overrun;  // the bracketed camera handed them on
+      s.counts.overrun = overrun;
+      s.counts.frames -= overrun;  // the bracketed camera handed them on
     }
   }
 
@@ -140,7 +152,6 @@ struct Rig::Station {
     int index;
     std::optional<StereoHalf> half;
     CameraInfo info;
-    std::uint64_t overrun = 0;
     CameraCounts counts{};  // guarded by mutex
   };
 
@@ -155,7 +166,7 @@ struct Rig::Station {
   std::atomic<bool> can_take_darker = false;
   Latest<std::vector<Exposure>> wanted;
   Seconds longest{0}, silent{0};
-  std::uint64_t reconnected = 0;
+  std::uint64_t reconnected = 0, overrun = 0;
   mutable std::mutex mutex;
   std::jthread thread;  // last: joined before the rest goes
 };
@@ -177,6 +188,12 @@ Result<std::unique_ptr<Rig>> Rig::open(std::vector<RigCamera> cameras, OpenCamer
     const auto other = std::ranges::find_if(rig->stations_, [&](const auto& s) {
       return camera.half && s->camera.settings.device == camera.settings.device;
     });
+    if (camera.half && camera.light_error)
+      return fail(ErrorCode::kInvalid, camera.info.name,
+                  "is a half of a picture and cannot find its exposures itself");
+    if (other != rig->stations_.end() && !are_halves((*other)->camera, camera))
+      return fail(ErrorCode::kInvalid, camera.info.name,
+                  "and " + (*other)->camera.info.name + " are not the two halves of one picture");
     rig->station_of_.push_back(static_cast<std::size_t>(other - rig->stations_.begin()));
     const int index = static_cast<int>(i);
     if (other != rig->stations_.end()) {

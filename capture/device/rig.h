@@ -40,7 +40,8 @@ class Rig : public FrameSource {
  public:
   /// Two cameras of one device are the halves of its pictures: the first one's settings and
   /// exposures count for both.
-  /// errors: as open_camera; kInvalid (a schedule for a camera whose exposure cannot be set)
+  /// errors: as open_camera; kInvalid (a schedule for a camera whose exposure cannot be set, two
+  ///         of one device that are not its halves, a half with light_error)
   static Result<std::unique_ptr<Rig>> open(std::vector<RigCamera> cameras,
                                            OpenCamera open = open_camera);
   ~Rig() override;

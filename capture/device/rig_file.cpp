@@ -119,6 +119,9 @@ Result<void> check_same_device(const TomlKeys& keys, const RigCamera& camera,
     return keys.invalid("device", fmt::format("\"{}\" is used twice", device));
   if (camera.half == other.half)
     return keys.invalid("half", fmt::format("is the same one of \"{}\" twice", device));
+  if (camera.info.role != other.info.role)
+    return keys.invalid(
+        "role", fmt::format("is another one than of the other half, \"{}\"", other.info.name));
   for (const std::string_view key : kDeviceKeys)
     if (key != "device" && key != "half" && keys.has(key))
       return keys.invalid(std::string(key).c_str(),

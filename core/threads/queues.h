@@ -6,6 +6,7 @@
 #include <deque>
 #include <mutex>
 #include <optional>
+#include <span>
 #include <utility>
 
 #include "core/units.h"
@@ -99,15 +100,17 @@ class Bounded : public Closable {
   }
 
   /// Never waits: a full queue drops the value and counts it.
-  bool try_push(T value) {
+  bool try_push(T value) { return try_push_all(std::span(&value, 1)); }
+  /// All of them in one, or none.
+  bool try_push_all(std::span<T> values) {
     {
       const std::scoped_lock lock(mutex_);
       if (closed_) return false;
-      if (items_.size() >= capacity_) {
-        ++dropped_;
+      if (items_.size() + values.size() > capacity_) {
+        dropped_ += values.size();
         return false;
       }
-      items_.push_back(std::move(value));
+      for (T& value : values) items_.push_back(std::move(value));
     }
     changed_.notify_all();
     return true;

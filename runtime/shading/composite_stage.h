@@ -95,7 +95,8 @@ class CompositeStage {
   void warm_up();
   /// Composites one view frame under `light`.
   /// out:    keeps its memory: once it has had a frame nothing comes from the heap, without real
-  ///         meshes, several planes, lamps, clips and turntables (whose shadows grow now and then)
+  ///         meshes, several planes, lamps, clips and turntables (whose shadows grow now and then),
+  ///         but for the first time that something keeps a light from an object
   /// errors: as Compositor::composite
   Result<void> process(const capture::Frame& frame, const lighting::LightEstimate& light,
                        Composited& out);
@@ -215,8 +216,9 @@ class CompositeStage {
                           std::pmr::vector<FloorShadow>& out) const;
   static FloorLight floor_at(const glm::vec3& point, std::span<const FloorShadow> floor_shadows,
                              float local, float open, float all);
-  lighting::DistantLight lamp_as_distant(const shadows::Lamp& lamp, std::size_t index,
-                                         const Pose& pose) const;
+  glm::dvec3 lit_centre(std::size_t index, const Pose& pose) const;
+  static lighting::DistantLight lamp_as_distant(const shadows::Lamp& lamp,
+                                                const glm::dvec3& centre);
   float lit_fraction(std::size_t source, std::size_t index, const Pose& pose) const;
   void add_distant_lights(std::size_t index, const lighting::LightEstimate& light, const Pose& pose,
                           ObjectLight& out) const;

@@ -93,18 +93,17 @@ void CompositeStage::find_lit(std::size_t index, const lighting::LightEstimate& 
   ground_probes_.look_once(index, lights_.occluders());
   // What the rays of a point meet, as lit if nothing stood around, and as it is. Few rays tell
   // little, so the object as a whole counts as one of them.
-  std::array<float, GroundProbes::kPoints> alone, left;
-  alone.fill(luminance(light.lights[0]));
-  left.fill(luminance(light.reaching_lights[0]));
+  std::array<Rgb, GroundProbes::kPoints> alone, left;
+  alone.fill(light.lights[0]);
+  left.fill(light.reaching_lights[0]);
   const auto look = [&](const lighting::DistantLight& source, const auto& lit_at) {
     const glm::vec3 towards(glm::conjugate(pose.rotation) * source.direction);
-    const float power = luminance(source.irradiance());
+    const Rgb power = source.irradiance();
     for (const GroundHit& hit : ground_probes_.hits(index)) {
       if (!hit.bake_blocks || hit.inside) continue;
-      const float sent = power * luminance(baked.mesh.albedo[hit.vertex]) *
-                         std::max(0.f, glm::dot(baked.mesh.normals[hit.vertex], towards));
-      if (sent <= 0) continue;
-      const Rgb lit = lit_at(hit.vertex);
+      const float cosine = glm::dot(baked.mesh.normals[hit.vertex], towards);
+      if (cosine <= 0) continue;
+      const Rgb lit = lit_at(hit.vertex), sent = power * baked.mesh.albedo[hit.vertex] * cosine;
       alone[hit.point] += sent * lit.r;
       left[hit.point] += sent * lit.g;
     }
@@ -114,11 +113,15 @@ void CompositeStage::find_lit(std::size_t index, const lighting::LightEstimate& 
     look(estimate.lights[j],
          [&](std::uint32_t vertex) { return surroundings_.at_vertex(index, probes, vertex); });
   }
-  for (const shadows::Lamp& lamp : scene_.lamps)
-    look(lamp_as_distant(lamp, index, pose), [](std::uint32_t) { return Rgb{1, 1, 0}; });
+  if (!scene_.lamps.empty()) {
+    const glm::dvec3 centre = lit_centre(index, pose);
+    for (const shadows::Lamp& lamp : scene_.lamps)
+      look(lamp_as_distant(lamp, centre), [](std::uint32_t) { return Rgb{1, 1, 0}; });
+  }
   std::array<Rgb, GroundProbes::kPoints> fraction;
   for (std::size_t p = 0; p < fraction.size(); ++p)
-    fraction[p] = Rgb{1, 1, 1} * (alone[p] > 0 ? std::min(left[p] / alone[p], 1.f) : 1);
+    for (int c = 0; c < 3; ++c)
+      fraction[p][c] = alone[p][c] > 0 ? std::clamp(left[p][c] / alone[p][c], 0.f, 1.f) : 1;
   out.assign(objects_[index].deficit.size(), 0.f);
   ground_probes_.spread(index, fraction, baked.receiver->grid.size, out);
 }

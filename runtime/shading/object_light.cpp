@@ -212,12 +212,15 @@ void CompositeStage::see_surroundings(std::size_t index, const lighting::LightEs
   });
 }
 
+glm::dvec3 CompositeStage::lit_centre(std::size_t index, const Pose& pose) const {
+  return pose * glm::dvec3(prt::bounds_of(objects_[index].prepared->baked.mesh).centre());
+}
+
 // The lamp's light at the middle of the object: what object and floor reflect of it is as if it
 // were as far for all of them.
-lighting::DistantLight CompositeStage::lamp_as_distant(const shadows::Lamp& lamp, std::size_t index,
-                                                       const Pose& pose) const {
-  const glm::dvec3 centre(prt::bounds_of(objects_[index].prepared->baked.mesh).centre()),
-      to = lamp.position - pose * centre;
+lighting::DistantLight CompositeStage::lamp_as_distant(const shadows::Lamp& lamp,
+                                                       const glm::dvec3& centre) {
+  const glm::dvec3 to = lamp.position - centre;
   const double distance = std::max(glm::length(to), 2 * lamp.radius_m);
   lighting::DistantLight out;
   out.direction = glm::length(to) > 0 ? glm::normalize(to) : glm::dvec3(0, 1, 0);
@@ -258,10 +261,13 @@ void CompositeStage::add_distant_lights(std::size_t index, const lighting::Light
     add(lit, own, surroundings_.any() ? lit_fraction(i, index, pose) : 1);
     out.distant_irradiance += lighting::irradiance(d, up);
   }
-  for (const shadows::Lamp& lamp : scene_.lamps) {
-    const RadianceSh own = reflected_for(lamp_as_distant(lamp, index, pose), level);
-    add(sum, own, 1);
-    add(lit, own, 1);
+  if (!scene_.lamps.empty()) {
+    const glm::dvec3 centre = lit_centre(index, pose);
+    for (const shadows::Lamp& lamp : scene_.lamps) {
+      const RadianceSh own = reflected_for(lamp_as_distant(lamp, centre), level);
+      add(sum, own, 1);
+      add(lit, own, 1);
+    }
   }
   const auto in_bake_frame = [&](const RadianceSh& light) {
     return reflected_in_bake_frame(light, level, pose,

@@ -45,8 +45,8 @@ class GroundProbes {
   /// in: occluders as made for this scene
   void update(const shadows::RayOccluders& occluders, std::span<const Pose> poses, bool other_form);
 
-  /// For an object of a scene where any() is false: casts its rays if it never did. What stands
-  /// around in its own bake stays there wherever it goes.
+  /// For an object of a scene where any() is false: casts its rays if it never did. In its own
+  /// frame they meet the same wherever it stands; a clip's meet the form that it has then.
   void look_once(std::size_t object, const shadows::RayOccluders& occluders);
 
   /// As last looked at; each ray stands for 1/kRays of the irradiance over pi.

@@ -262,11 +262,12 @@ TEST(CameraPresets, TheIndexIsKnownByItsUsbName) {
   EXPECT_EQ(index->headset, "Valve Index");
   EXPECT_EQ(index->width, 1920);
   EXPECT_TRUE(index->side_by_side);
-  EXPECT_EQ(advice(*index),
-            "Valve Index: 1920x960 YUYV at 54 frames a second; half = \"left\" and half = "
-            "\"right\" are its eyes\n"
-            "lenses and poses: penumbra calibrate import FILE, of "
-            "config/lighthouse/SERIAL/config.json in Steam's folder\n");
+  EXPECT_EQ(
+      advice(*index),
+      "  as in a Valve Index: two cameras of width = 960 and height = 960, half = \"left\" and "
+      "\"right\", format = \"YUYV\", fps = 54\n"
+      "  its lenses and poses: penumbra calibrate import FILE, of "
+      "config/lighthouse/SERIAL/config.json in Steam's folder\n");
   EXPECT_FALSE(find_camera_preset("Integrated Camera"));
 }
 

@@ -6,6 +6,7 @@
 #include <atomic>
 #include <chrono>
 #include <fstream>
+#include <functional>
 
 #include "calib/calib.h"
 #include "capture/capture.h"
@@ -213,6 +214,47 @@ TEST_F(RigOfFakes, OneDeviceShowsBothEyesSideBySide) {
   EXPECT_TRUE((*rig)->take_darker(1, .125)) << "the device's, for both";
 }
 
+std::vector<RigCamera> two_halves() {
+  std::vector<RigCamera> eyes = cameras();
+  eyes[0].info = eyes[1].info;
+  eyes[0].info.name = "other";
+  eyes[0].settings.device = eyes[1].settings.device = "stereo";
+  eyes[0].half = StereoHalf::kLeft, eyes[1].half = StereoHalf::kRight;
+  return eyes;
+}
+
+TEST_F(RigOfFakes, AFullQueueLosesBothEyesOrNone) {
+  auto rig = Rig::open(two_halves(), open_stereo);
+  ASSERT_TRUE(rig);
+  for (int round = 0; round < 5; ++round) {
+    std::this_thread::sleep_for(std::chrono::milliseconds(200));  // the queue is full
+    for (int k = 0; k < 5; ++k) {
+      const auto left = (*rig)->next(), right = (*rig)->next();
+      ASSERT_TRUE(left && *left && right && *right);
+      EXPECT_EQ((*left)->camera, 0);
+      EXPECT_EQ((*right)->camera, 1);
+      EXPECT_EQ((*left)->time, (*right)->time);
+    }
+  }
+  const auto counts = (*rig)->counts();
+  EXPECT_GT(counts[0].overrun, 0u);
+  EXPECT_EQ(counts[0].overrun, counts[1].overrun);
+}
+
+TEST_F(RigOfFakes, WhatIsNotTwoHalvesIsRefused) {
+  const auto refused = [](const std::function<void(std::vector<RigCamera>&)>& spoil) {
+    std::vector<RigCamera> eyes = two_halves();
+    spoil(eyes);
+    const auto rig = Rig::open(eyes, open_stereo);
+    return !rig && rig.error().code == ErrorCode::kInvalid;
+  };
+  EXPECT_TRUE(refused([](auto& eyes) { eyes[1].half = StereoHalf::kLeft; }));
+  EXPECT_TRUE(refused([](auto& eyes) { eyes[0].half.reset(); }));
+  EXPECT_TRUE(refused([](auto& eyes) { eyes[1].info.projection.width = 30; }));
+  EXPECT_TRUE(refused([](auto& eyes) { eyes[1].info.role = Role::kEnvironment; }));
+  EXPECT_TRUE(refused([](auto& eyes) { eyes[0].light_error = .01; }));
+}
+
 TEST_F(RigOfFakes, AHalfMayBeAlone) {
   std::vector<RigCamera> one = {cameras()[1]};
   one[0].half = StereoHalf::kLeft;
@@ -352,6 +394,10 @@ TEST(RigFile, TwoCamerasMayBeTheHalvesOfOneDevice) {
   refused(first + camera("right", width + right + "fps = 30\n"),
           "fps: is told with the other half");
   refused(first + camera("right", "width = 60\n" + right), "differ from those of the other half");
+  std::string environment = camera("right", width + right);
+  environment.replace(environment.find("role = \"view\"\neye = \"right\""), 27,
+                      "role = \"environment\"");
+  refused(first + environment, "role: is another one");
   refused(camera("left", width + "half = \"top\"\n"), "neither \"left\" nor \"right\"");
   refused(camera("left", width + left + "exposures_s = \"auto\"\n"), "whole pictures");
 }

@@ -79,6 +79,12 @@ Image<Rgb> coloured_sun() {
   return map;
 }
 
+Image<Rgb> two_suns() {
+  Image<Rgb> map = coloured_sun();
+  add_lamp(map, {.3, .8, .9}, .01, {1500, 4000, 14000});
+  return map;
+}
+
 struct World {
   const char* name;
   std::function<Scene(const std::filesystem::path& folder)> scene;
@@ -179,6 +185,8 @@ const World kWorlds[] = {
     {"coarse_balls", ball_below_a_ball, [] { return std::vector{coloured_sun()}; }, .05, .01},
     // .10 if what the blocks reflect onto the floor is dimmed alike all over it.
     {"block_in_shade", block_in_shade, [] { return std::vector{coloured_sun()}; }, .03, .05},
+    // The blue one of them reaches all of both.
+    {"block_in_shade_of_one", block_in_shade, [] { return std::vector{two_suns()}; }, .03, .05},
     {"window_frame", on_floor, [] { return std::vector{window_room()}; }, .05, .05},
     {"moving_lamp", on_floor,
      [] {

@@ -1461,6 +1461,9 @@ class Calibrate(CliTest):
         self.assertLess(printed["tracker_offset_sigma_s"], .002)
         self.assertEqual(printed["boards"], 32)
         self.assertEqual(sorted(p.name for p in report.iterdir()), ["latency.csv", "latency.svg"])
+        table = (report / "latency.csv").read_text().splitlines()
+        self.assertEqual(table[0], "time_s,camera_deg_s,tracker_deg_s")
+        self.assertEqual(len(table), printed["turns"] + 1)
         text = poses.read_text()
         self.assertIn(f"tracker_offset_s = {printed['tracker_offset_s']:.6f}", text)
         self.assertIn("# by hand", text)
@@ -1472,6 +1475,8 @@ class Calibrate(CliTest):
         self.expect_refusal(["--max-offset", "10 s"], *given, "--max-offset", -1)
         self.expect_refusal(["side", "not a camera"], *given, "--camera", "side")
         self.assertEqual(poses.read_bytes(), before)
+        poses.write_text(poses.read_text().replace('"view"', '"other"'))
+        self.expect_refusal(["body.toml", 'no camera "view"'], *given, "--pose-file", poses)
         poses.write_text(poses.read_text().replace("tracked body", "board"))
         self.expect_refusal(["body.toml", "tracked body"], *given, "--pose-file", poses)
         still = capture / "still.csv"

@@ -60,44 +60,17 @@ Result<capture::CameraInfo> choose_camera(const CalibrateLatencyOptions& o,
   return camera;
 }
 
-// A chessboard looks the same upside down: nobody turns a rig by half a turn between two frames.
-glm::dquat same_way_up(const glm::dquat& turn, const glm::dquat& before) {
-  const glm::dquat flipped = glm::angleAxis(kPi, glm::dvec3(0, 0, 1)) * turn;
-  return std::abs(glm::dot(flipped, before)) > std::abs(glm::dot(turn, before)) ? flipped : turn;
-}
-
-// How the camera is turned against the board, at each frame that shows it.
-Result<SeenBoards> look(const CalibrateLatencyOptions& o, const calib::Board& board) {
-  PENUMBRA_ASSIGN(source, capture::open_capture(o.capture));
-  const auto& all = source->cameras();
-  PENUMBRA_ASSIGN(camera, choose_camera(o, all));
-  const auto index = std::ranges::find(all, camera.name, &capture::CameraInfo::name) - all.begin();
-  SeenBoards seen{camera.name, 0, {}};
-  const auto progress = progress_count("pictures looked at");
-  while (true) {
-    PENUMBRA_ASSIGN(frame, source->next());
-    if (!frame) return seen;
-    if (frame->camera != index) continue;
-    progress(++seen.pictures);
-    const auto view = calib::find_board(*frame->pixels, board,
-                                        fmt::format("{} frame {}", camera.name, frame->sequence));
-    if (!view) continue;
-    const auto pose = calib::board_pose(camera.projection, *view);
-    if (!pose) continue;
-    glm::dquat turn = glm::conjugate(pose->rotation);
-    if (board.kind == calib::Board::Kind::kChessboard && !seen.turns.empty())
-      turn = same_way_up(turn, seen.turns.back().turn);
-    seen.turns.push_back({(frame->time - TimestampNs{}).count(), turn});
-  }
-}
-
 // The file with the new offset in place of the old one, all else as it stands there.
-Result<std::string> with_offset(const std::string& path, const calib::Latency& latency) {
+Result<std::string> with_offset(const std::string& path, const std::string& camera,
+                                const calib::Latency& latency) {
   PENUMBRA_ASSIGN(text, read_text(path));
   PENUMBRA_ASSIGN(poses, calib::parse_pose_file(text, path));
   if (poses.poses_in != calib::PosesIn::kTrackedBody)
     return fail(ErrorCode::kInvalid, path,
                 "has poses on no tracked body: calibrate rig --tracker makes such a file");
+  if (std::ranges::find(poses.cameras, camera, &calib::PoseFile::NamedPose::name) ==
+      poses.cameras.end())
+    return fail(ErrorCode::kInvalid, path, fmt::format("has no camera \"{}\"", camera));
   const std::string offset = fmt::format(
       "tracker_offset_s = {:.6f}  # camera time + offset = tracker time\n"
       "tracker_offset_sigma_s = {:.2g}\n",
@@ -122,11 +95,43 @@ Result<std::string> with_offset(const std::string& path, const calib::Latency& l
   return out;
 }
 
+// A chessboard looks the same upside down: nobody turns a rig by half a turn between two frames.
+glm::dquat same_way_up(const glm::dquat& turn, const glm::dquat& before) {
+  const glm::dquat flipped = glm::angleAxis(kPi, glm::dvec3(0, 0, 1)) * turn;
+  return std::abs(glm::dot(flipped, before)) > std::abs(glm::dot(turn, before)) ? flipped : turn;
+}
+
+// How the camera is turned against the board, at each frame that shows it.
+Result<SeenBoards> look(const CalibrateLatencyOptions& o, const calib::Board& board) {
+  PENUMBRA_ASSIGN(source, capture::open_capture(o.capture));
+  const auto& all = source->cameras();
+  PENUMBRA_ASSIGN(camera, choose_camera(o, all));
+  if (o.pose_file) PENUMBRA_TRY(with_offset(*o.pose_file, camera.name, {}));
+  const auto index = std::ranges::find(all, camera.name, &capture::CameraInfo::name) - all.begin();
+  SeenBoards seen{camera.name, 0, {}};
+  const auto progress = progress_count("pictures looked at");
+  while (true) {
+    PENUMBRA_ASSIGN(frame, source->next());
+    if (!frame) return seen;
+    if (frame->camera != index) continue;
+    progress(++seen.pictures);
+    const auto view = calib::find_board(*frame->pixels, board,
+                                        fmt::format("{} frame {}", camera.name, frame->sequence));
+    if (!view) continue;
+    const auto pose = calib::board_pose(camera.projection, *view);
+    if (!pose) continue;
+    glm::dquat turn = glm::conjugate(pose->rotation);
+    if (board.kind == calib::Board::Kind::kChessboard && !seen.turns.empty())
+      turn = same_way_up(turn, seen.turns.back().turn);
+    seen.turns.push_back({(frame->time - TimestampNs{}).count(), turn});
+  }
+}
+
 constexpr double kCertain = 4;  // standard deviations
 
 bool clocks_drift(const calib::Latency& l) {
   constexpr double kMinDrift_s = .001;
-  return std::abs(l.drift_s) > std::max(kMinDrift_s, kCertain * l.drift_sigma_s);
+  return l.drift_s && std::abs(*l.drift_s) > std::max(kMinDrift_s, kCertain * l.drift_sigma_s);
 }
 
 void print_latency(const SeenBoards& seen, const calib::Latency& l) {
@@ -144,7 +149,7 @@ nlohmann::json to_json(const SeenBoards& seen, const calib::Latency& l) {
           {"turns", l.steps.size()},
           {"tracker_offset_s", l.offset_s},
           {"tracker_offset_sigma_s", l.sigma_s},
-          {"drift_s", l.drift_s},
+          {"drift_s", l.drift_s ? nlohmann::json(*l.drift_s) : nlohmann::json(nullptr)},
           {"drift_sigma_s", l.drift_sigma_s},
           {"residual_deg", l.residual_rad * 180 / kPi}};
 }
@@ -157,7 +162,6 @@ Result<void> calibrate_latency(const CalibrateLatencyOptions& o) {
     return fail(ErrorCode::kInvalid, "--max-offset", "is not above 0 and at most 10 s");
   PENUMBRA_ASSIGN(tracker, read_tracker_file(o.tracker));
   if (o.pose_file) {
-    PENUMBRA_TRY(with_offset(*o.pose_file, {}));  // before the long work
     PENUMBRA_TRY(check_writable(*o.pose_file));
   }
   if (o.report) PENUMBRA_TRY(make_folder(*o.report));
@@ -171,9 +175,9 @@ Result<void> calibrate_latency(const CalibrateLatencyOptions& o) {
     log_warning(
         "{}: the offset grows by {:.1f} +- {:.1f} ms from the first half to the second: the "
         "clocks run apart",
-        seen.camera, 1000 * latency.drift_s, 1000 * latency.drift_sigma_s);
+        seen.camera, 1000 * *latency.drift_s, 1000 * latency.drift_sigma_s);
   if (o.pose_file) {
-    PENUMBRA_ASSIGN(text, with_offset(*o.pose_file, latency));
+    PENUMBRA_ASSIGN(text, with_offset(*o.pose_file, seen.camera, latency));
     PENUMBRA_TRY(write_bytes(*o.pose_file, text));
   }
   if (o.report) PENUMBRA_TRY(write_latency_report(*o.report, latency));

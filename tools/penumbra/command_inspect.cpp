@@ -211,6 +211,7 @@ Result<json> inspect_rig(const std::string& file, const toml::table& root) {
   for (const capture::RigCamera& c : cameras) {
     json& camera = out["cameras"].emplace_back(to_json(c.info));
     camera["device"] = c.settings.device;
+    if (c.half) camera["half"] = *c.half == capture::StereoHalf::kLeft ? "left" : "right";
     camera["exposures_s"] = json::array();
     for (const Exposure& e : c.schedule) camera["exposures_s"].push_back(e.time.count());
     if (c.light_error) camera["exposures_s"] = "auto";
@@ -278,6 +279,17 @@ json to_json(const std::optional<calib::CameraPreset>& preset) {
           {"calibration", preset->calibration}};
 }
 
+// Other cameras have the same name: those of a headset have its frames, too.
+std::optional<calib::CameraPreset> preset_of(const capture::CameraListing& camera) {
+  const auto preset = calib::find_camera_preset(camera.name);
+  const bool has_frames =
+      preset && std::ranges::any_of(camera.modes, [&](const capture::CameraMode& m) {
+        return m.format == preset->pixel_format && m.width == preset->width &&
+               m.height == preset->height;
+      });
+  return has_frames ? preset : std::nullopt;
+}
+
 Result<void> inspect_cameras(bool as_json) {
   const capture::CameraList list = capture::list_cameras();
   json cameras = json::array();
@@ -292,7 +304,7 @@ Result<void> inspect_cameras(bool as_json) {
     cameras.push_back({{"device", c.device},
                        {"name", c.name},
                        {"driver", c.driver},
-                       {"passes_through", to_json(calib::find_camera_preset(c.name))},
+                       {"passes_through", to_json(preset_of(c))},
                        {"exposure_s", to_json(c.exposure_s)},
                        {"gain", to_json(c.gain)},
                        {"modes", modes}});
@@ -306,8 +318,7 @@ Result<void> inspect_cameras(bool as_json) {
   }
   for (const capture::CameraListing& c : list.cameras) {
     fmt::print("{}: {} ({})\n", c.device, c.name, c.driver);
-    if (const auto preset = calib::find_camera_preset(c.name))
-      fmt::print("{}", calib::advice(*preset));
+    if (const auto preset = preset_of(c)) fmt::print("{}", calib::advice(*preset));
     if (c.exposure_s)
       fmt::print("  exposure {:g} to {:g} s\n", c.exposure_s->low, c.exposure_s->high);
     else
