@@ -200,6 +200,7 @@ Result<void> Service::reload_rig() {
   PENUMBRA_ASSIGN(now, read_rig_config(file_.path));
   PENUMBRA_ASSIGN(text, read_text(file_.path));
   PENUMBRA_ASSIGN(keys, changed_keys(file_.text, text, file_.path));
+  if (now.token != config_.token) keys.emplace_back("http.token_file");
   // What clients asked for stays where the file says what it said.
   if (now.max_shadow_error != error_limit_) {
     PENUMBRA_TRY(objects_.set_max_shadow_error(now.max_shadow_error));
@@ -248,10 +249,8 @@ void Service::publish(const runtime::Output& out, const capture::FrameSource& so
   if (config_.openxr) show_in_headset(out, source);
   outputs_.show(out.pixels, out.source.time);
   std::vector<PublishedState::OutputState> states;
-  for (const FrameOutput* const output : outputs_.all()) {
-    const FrameOutput::OutputCounts counts = output->counts();
-    states.push_back({output->name(), counts.shown, counts.overtaken, output->trouble()});
-  }
+  for (OutputSet::State& o : outputs_.states())
+    states.push_back({std::move(o.name), o.counts.shown, o.counts.overtaken, std::move(o.trouble)});
   state_.publish_outputs(std::move(states));
 }
 

@@ -22,6 +22,10 @@ constexpr double kMinTurn = kOneDegree;  // standard deviation of the steps' ang
 constexpr double kMaxResidual = .3;      // of that, of what is left
 constexpr std::size_t kFewestSteps = 20;
 constexpr const char* kWhere = "latency";
+constexpr const char* kSilent =
+    "the tracker has poses for too few of the times at which the board is seen: do both clocks "
+    "count "
+    "from the same moment?";
 
 double turned_by(const glm::dquat& a, const glm::dquat& b) {
   const glm::dquat d = glm::conjugate(a) * b;
@@ -162,9 +166,7 @@ Result<double> best_on_grid(const StepFit& fit, double max_offset_s) {
   std::size_t best = 0;
   for (std::size_t i = 0; i < costs.size(); ++i)
     if (value(i) < value(best)) best = i;
-  if (!costs[best])
-    return fail(ErrorCode::kUndetermined, kWhere,
-                "the tracker has poses for too few of the times at which the board is seen");
+  if (!costs[best]) return fail(ErrorCode::kUndetermined, kWhere, kSilent);
   const auto offset = [&](std::size_t i) { return (static_cast<int>(i) - half) * kGrid_s; };
   if (best == 0 || best + 1 == costs.size() || !costs[best - 1] || !costs[best + 1])
     return fail(ErrorCode::kUndetermined, kWhere,
@@ -223,11 +225,13 @@ Result<Latency> estimate_latency(std::span<const TurnSample> camera,
   const auto tracker =
       during(all_of_tracker, steps.front().from_s - options.max_offset_s - kLongestGap_s,
              steps.back().to_s + options.max_offset_s + kLongestGap_s);
-  if (const double of_tracker = deviation(steps_of(tracker)); of_tracker < kMinTurn)
+  const std::vector<CameraStep> of_tracker = steps_of(tracker);
+  if (of_tracker.size() < kFewestSteps) return fail(ErrorCode::kUndetermined, kWhere, kSilent);
+  if (const double by_tracker = deviation(of_tracker); by_tracker < kMinTurn)
     return fail(ErrorCode::kUndetermined, kWhere,
                 fmt::format("the tracker turns by {:.1f} degrees more or less within {:.0f} ms and "
                             "the camera by {:.1f}: is one fixed to the other?",
-                            of_tracker / kOneDegree, 1000 * kStep_s, turned / kOneDegree));
+                            by_tracker / kOneDegree, 1000 * kStep_s, turned / kOneDegree));
   const StepFit fit(steps, tracker);
   PENUMBRA_ASSIGN(nearby_s, best_on_grid(fit, options.max_offset_s));
   const auto [offset_s, sigma_s] = fit.refine(nearby_s);
@@ -251,7 +255,14 @@ Result<Latency> estimate_latency(std::span<const TurnSample> camera,
                             out.residual_rad / kOneDegree, turned / kOneDegree));
   const std::span<const CameraStep> all(steps);
   const auto earlier = all.first(all.size() / 2), later = all.subspan(all.size() / 2);
-  if (deviation(earlier) >= kMinTurn && deviation(later) >= kMinTurn) {
+  // By the tracker, which has no boards that are wrong.
+  const auto turns = [&](std::span<const CameraStep> part) {
+    std::vector<CameraStep> seen;
+    for (const CameraStep& s : part)
+      if (const auto angle = fit.tracker_angle(s, offset_s)) seen.push_back({0, 0, *angle});
+    return deviation(seen) >= kMinTurn;
+  };
+  if (turns(earlier) && turns(later)) {
     const auto first = StepFit(earlier, tracker).refine(offset_s),
                second = StepFit(later, tracker).refine(offset_s);
     out.drift_s = second.offset_s - first.offset_s;

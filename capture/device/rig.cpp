@@ -186,12 +186,13 @@ Result<std::unique_ptr<Rig>> Rig::open(std::vector<RigCamera> cameras, OpenCamer
     if (camera.info.role == Role::kView && rig->view_rate_ == 0)
       rig->view_rate_ = camera.settings.fps;
     const auto other = std::ranges::find_if(rig->stations_, [&](const auto& s) {
-      return camera.half && s->camera.settings.device == camera.settings.device;
+      return (camera.half || s->camera.half) && s->camera.settings.device == camera.settings.device;
     });
     if (camera.half && camera.light_error)
       return fail(ErrorCode::kInvalid, camera.info.name,
                   "is a half of a picture and cannot find its exposures itself");
-    if (other != rig->stations_.end() && !are_halves((*other)->camera, camera))
+    if (other != rig->stations_.end() &&
+        ((*other)->shown.size() == 2 || !are_halves((*other)->camera, camera)))
       return fail(ErrorCode::kInvalid, camera.info.name,
                   "and " + (*other)->camera.info.name + " are not the two halves of one picture");
     rig->station_of_.push_back(static_cast<std::size_t>(other - rig->stations_.begin()));

@@ -129,10 +129,12 @@ TEST(CameraLatency, ClocksThatRunApartAreTold) {
   EXPECT_GT(*found->drift_s, 5 * found->drift_sigma_s);
 }
 
-// A tracker that ran for minutes before and after, and a hand that rests in the second half.
+// A tracker that ran for minutes more, and a hand that rests in the second half, in which a board
+// was wrong once.
 TEST(CameraLatency, RestTellsNothingAndCostsNothing) {
-  const TurnedRig rig = turned_rig(
+  TurnedRig rig = turned_rig(
       7, {.body = [](double t) { return by_hand(std::clamp(t, -1., 5.)); }, .seconds = 10});
+  rig.camera[250].turn = rig.camera[250].turn * about(25, {1, 0, 0});
   TurnedRig long_log = rig;
   for (int i = 1; i < 300 * 60; ++i) {
     const double t = i / 60.;
@@ -176,6 +178,9 @@ TEST(CameraLatency, WhatCannotTellIsRefused) {
   TurnedRig silent = turned_rig(5);
   silent.tracker.resize(200);
   says(why_not(silent), "too few of the times");
+  TurnedRig other_epoch = turned_rig(5);
+  for (TurnSample& t : other_epoch.tracker) t.time_s += 1000;
+  says(why_not(other_epoch), "same moment");
   TurnedRig backwards = turned_rig(5);
   std::swap(backwards.tracker[3].time_s, backwards.tracker[4].time_s);
   says(why_not(backwards), "out of order");

@@ -227,9 +227,10 @@ TEST_F(RigOfFakes, AFullQueueLosesBothEyesOrNone) {
   auto rig = Rig::open(two_halves(), open_stereo);
   ASSERT_TRUE(rig);
   for (int round = 0; round < 5; ++round) {
-    std::this_thread::sleep_for(std::chrono::milliseconds(200));  // the queue is full
     for (int k = 0; k < 5; ++k) {
-      const auto left = (*rig)->next(), right = (*rig)->next();
+      const auto left = (*rig)->next();
+      std::this_thread::sleep_for(std::chrono::milliseconds(100));  // the queue is full but for one
+      const auto right = (*rig)->next();
       ASSERT_TRUE(left && *left && right && *right);
       EXPECT_EQ((*left)->camera, 0);
       EXPECT_EQ((*right)->camera, 1);
@@ -250,6 +251,8 @@ TEST_F(RigOfFakes, WhatIsNotTwoHalvesIsRefused) {
   };
   EXPECT_TRUE(refused([](auto& eyes) { eyes[1].half = StereoHalf::kLeft; }));
   EXPECT_TRUE(refused([](auto& eyes) { eyes[0].half.reset(); }));
+  EXPECT_TRUE(refused([](auto& eyes) { eyes[1].half.reset(); }));
+  EXPECT_TRUE(refused([](auto& eyes) { eyes.push_back(eyes[1]); }));
   EXPECT_TRUE(refused([](auto& eyes) { eyes[1].info.projection.width = 30; }));
   EXPECT_TRUE(refused([](auto& eyes) { eyes[1].info.role = Role::kEnvironment; }));
   EXPECT_TRUE(refused([](auto& eyes) { eyes[0].light_error = .01; }));

@@ -184,9 +184,9 @@ const World kWorlds[] = {
     // 1.2 % with shadows' edges as wide as triangles.
     {"coarse_balls", ball_below_a_ball, [] { return std::vector{coloured_sun()}; }, .05, .01},
     // .10 if what the blocks reflect onto the floor is dimmed alike all over it.
-    {"block_in_shade", block_in_shade, [] { return std::vector{coloured_sun()}; }, .03, .05},
+    {"block_in_shade", block_in_shade, [] { return std::vector{coloured_sun()}; }, .02, .05},
     // The blue one of them reaches all of both.
-    {"block_in_shade_of_one", block_in_shade, [] { return std::vector{two_suns()}; }, .03, .05},
+    {"block_in_shade_of_one", block_in_shade, [] { return std::vector{two_suns()}; }, .02, .05},
     {"window_frame", on_floor, [] { return std::vector{window_room()}; }, .05, .05},
     {"moving_lamp", on_floor,
      [] {

@@ -867,7 +867,7 @@ class Serve(CliTest):
         self.wait_for("the crate stays", lambda: "crate" not in self.objects())
         scene.write_text("version = 77\n")
         self.process.send_signal(signal.SIGHUP)
-        self.wait_for("not refused", lambda: any("stays as it is" in line for line in self.lines))
+        self.wait_for("not refused", lambda: any("the scene stays as it is" in line for line in self.lines))
 
     def check_rig(self):
         """The limit of the errors and the outputs follow rig.toml on SIGHUP; the rest waits and is named."""
@@ -886,7 +886,10 @@ class Serve(CliTest):
         self.assertEqual(len(state()["outputs"]), 1)
         rig.write_text(changed + '[output]\ny4m = "nowhere/picture.y4m"\n')
         self.process.send_signal(signal.SIGHUP)
-        self.wait_for("no error", lambda: any("output.y4m is missing" in line for line in self.lines))
+        self.wait_for("no error", lambda: any("output.y4m stays as it is" in line for line in self.lines))
+        self.assertEqual(len(state()["outputs"]), 1)
+        rig.write_text(changed)
+        self.process.send_signal(signal.SIGHUP)
         self.wait_for("the output stays", lambda: not state()["outputs"])
         rig.write_text("version = 1\n[capture\n")
         self.process.send_signal(signal.SIGHUP)
