@@ -159,7 +159,8 @@ def arguments_of(command, binaries, folder):
 
 def shown(command):
     """A command as readers type it."""
-    for hidden, instead in ((" --out {out}", ""), (" -o {out}.glb", ""), (" --json", ""), ("{maps}", "MAPS"),
+    for hidden, instead in ((" --out {out}", ""), (" -o {out}.glb", ""), (" --json", ""),
+                            ("{maps}", "MAPS"),
                             ("{meshes}", "--asset MESHES"), ("{scans}", "--asset SCANS")):
         command = command.replace(hidden, instead)
     return f"`{command}`"
