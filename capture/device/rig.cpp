@@ -109,7 +109,7 @@ struct Rig::Station {
                      : silent + Seconds(std::chrono::steady_clock::now() - before);
         if (silent > kSilence + 4 * longest) bracketed.disconnect(), silent = Seconds(0);
         if (!frame || !*frame) continue;  // gone, or nothing yet
-        hand_on(std::move(**frame));
+        hand_on(**frame);
       }
     } catch (const std::exception& e) {
       failed.put({ErrorCode::kUnavailable, camera.info.name, e.what()});
@@ -117,7 +117,7 @@ struct Rig::Station {
     }
   }
   // Both eyes of a moment, or none of them.
-  void hand_on(Frame frame) {
+  void hand_on(const Frame& frame) {
     std::array<Frame, 2> parts;
     for (std::size_t i = 0; i < shown.size(); ++i) {
       const ShownCamera& s = shown[i];
