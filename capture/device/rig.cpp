@@ -44,9 +44,8 @@ bool are_halves(const RigCamera& a, const RigCamera& b) {
          of_a.width == of_b.width && of_a.height == of_b.height;
 }
 
-Frame half_of(const Frame& whole, int camera, StereoHalf half, const CameraInfo& info) {
+Frame half_of(const Frame& whole, StereoHalf half, const CameraInfo& info) {
   Frame out = whole;
-  out.camera = camera;
   out.world_from_camera = info.world_from_camera;
   out.jpeg.reset();  // of both halves
   const int wide = info.projection.width;
@@ -121,7 +120,7 @@ struct Rig::Station {
     std::array<Frame, 2> parts;
     for (std::size_t i = 0; i < shown.size(); ++i) {
       const ShownCamera& s = shown[i];
-      parts[i] = s.half ? half_of(frame, s.index, *s.half, s.info) : frame;
+      parts[i] = s.half ? half_of(frame, *s.half, s.info) : frame;
       parts[i].camera = s.index;
     }
     if (!frames.try_push_all(std::span(parts).first(shown.size())) && !frames.closed()) ++overrun;

@@ -231,8 +231,7 @@ lighting::DistantLight CompositeStage::lamp_as_distant(const shadows::Lamp& lamp
   return out;
 }
 
-// How much of a distant light reaches the object past everything else: what it has to reflect onto
-// the floor.
+// How much of a distant light reaches the object as a whole past everything else.
 float CompositeStage::lit_fraction(std::size_t source, std::size_t index, const Pose& pose) const {
   const prt::Mesh& mesh = objects_[index].prepared->baked.mesh;
   const glm::dvec3 towards = glm::conjugate(pose.rotation) * lights_.direction(source);

@@ -8,6 +8,7 @@
 #include <cmath>
 #include <glm/gtc/quaternion.hpp>
 
+#include "tests/support/offscreen_compositor.h"
 #include "tests/support/scenes.h"
 
 namespace penumbra::compositor {
@@ -16,15 +17,8 @@ namespace {
 using glm::dvec3;
 using test::kSceneHeight, test::kSceneWidth;
 
-class CompositorTest : public testing::Test {
+class CompositorTest : public test::OffscreenCompositor {
  protected:
-  void SetUp() override {
-    auto made = Compositor::create(kSceneWidth, kSceneHeight, Compositor::Surface::kOffscreen);
-    if (!made && made.error().code == ErrorCode::kUnavailable)
-      GTEST_SKIP() << "no OpenGL ES 3.1: " << made.error().detail;
-    ASSERT_TRUE(made) << made.error().detail;
-    compositor_ = std::move(*made);
-  }
   View view(const ResponseTable* curve = nullptr, float signal = .5f) const {
     return {test::scene_camera(), curve, signal};
   }
@@ -38,7 +32,6 @@ class CompositorTest : public testing::Test {
     return std::get<Image<Rgb>>(composited(frame, v));
   }
 
-  std::unique_ptr<Compositor> compositor_;
   const ResponseTable curve8_ = test::srgb_curve(8), curve16_ = test::srgb_curve(16);
 };
 

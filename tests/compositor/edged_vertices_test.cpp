@@ -8,6 +8,7 @@
 #include "compositor/composite/compositor.h"
 #include "prt/prt.h"
 #include "prt/rays/fine_form.h"
+#include "tests/support/offscreen_compositor.h"
 #include "tests/support/scenes.h"
 
 namespace penumbra::compositor {
@@ -15,15 +16,8 @@ namespace {
 
 using test::kSceneHeight, test::kSceneWidth;
 
-class EdgedVerticesTest : public testing::Test {
+class EdgedVerticesTest : public test::OffscreenCompositor {
  protected:
-  void SetUp() override {
-    auto made = Compositor::create(kSceneWidth, kSceneHeight, Compositor::Surface::kOffscreen);
-    if (!made && made.error().code == ErrorCode::kUnavailable)
-      GTEST_SKIP() << "no OpenGL ES 3.1: " << made.error().detail;
-    ASSERT_TRUE(made) << made.error().detail;
-    compositor_ = std::move(*made);
-  }
   View view() const { return {test::scene_camera(), nullptr, .5f}; }
   Image<Rgb> composited_floats(const Image<Rgb>& frame, const View& v) {
     FramePixels out = frame;
@@ -31,8 +25,6 @@ class EdgedVerticesTest : public testing::Test {
     EXPECT_TRUE(done) << done.error().detail;
     return std::get<Image<Rgb>>(out);
   }
-
-  std::unique_ptr<Compositor> compositor_;
 };
 
 // Pixels of a row through the ball's middle that are neither lit nor dark: from -.05 to .05 m the
