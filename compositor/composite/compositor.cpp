@@ -199,9 +199,10 @@ int Compositor::add_occluder(const prt::Mesh& mesh) {
   return impl_->layers->add_occluder(mesh);
 }
 
-void Compositor::set_ratios(int occluder, std::span<const Rgb> ratios) {
+void Compositor::set_ratios(int occluder, std::span<const Rgb> ratios,
+                            std::span<const Rgb> weights) {
   impl_->context->make_current();
-  impl_->layers->set_ratios(occluder, ratios);
+  impl_->layers->set_ratios(occluder, ratios, weights);
 }
 
 Result<void> Compositor::Impl::check(const View& view, const FramePixels& frame) const {

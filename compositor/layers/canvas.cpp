@@ -21,9 +21,9 @@ bool Canvas::fits(const Rect& rect) const {
 
 // What is drawn on: depth beside colour, in samples or larger than the rest.
 void Canvas::attach_fine(Target& t) {
-  const GLsizei samples = multisampled_ ? kSamples : 0;
+  const GLsizei samples = multisampled() ? kSamples : 0;
   const int width = t.scale * width_, height = t.scale * height_;
-  if (multisampled_) {
+  if (multisampled()) {
     glBindRenderbuffer(GL_RENDERBUFFER, samples_.get());
     glRenderbufferStorageMultisample(GL_RENDERBUFFER, samples, GL_RGBA16F, width, height);
     glFramebufferRenderbuffer(GL_FRAMEBUFFER, GL_COLOR_ATTACHMENT0, GL_RENDERBUFFER,
@@ -33,6 +33,17 @@ void Canvas::attach_fine(Target& t) {
   glRenderbufferStorageMultisample(GL_RENDERBUFFER, samples, GL_DEPTH_COMPONENT24, width, height);
   glFramebufferRenderbuffer(GL_FRAMEBUFFER, GL_DEPTH_ATTACHMENT, GL_RENDERBUFFER,
                             fine_depth_.get());
+}
+
+void Canvas::attach_pictures(Target& t) const {
+  constexpr GLenum kAttachments[] = {GL_COLOR_ATTACHMENT0, GL_COLOR_ATTACHMENT1};
+  const std::size_t count = picture_count();
+  for (std::size_t i = 0; i < count; ++i) {
+    glBindTexture(GL_TEXTURE_2D, t.pictures[i].get());
+    glTexStorage2D(GL_TEXTURE_2D, 1, GL_RGBA16F, t.scale * width_, t.scale * height_);
+    glFramebufferTexture2D(GL_FRAMEBUFFER, kAttachments[i], GL_TEXTURE_2D, t.pictures[i].get(), 0);
+  }
+  glDrawBuffers(static_cast<GLsizei>(count), kAttachments);
 }
 
 // Larger and averaged: without a GPU that takes less time than multisampling, as long as shading
@@ -45,12 +56,7 @@ Result<void> Canvas::make_targets() {
     Target t;
     t.scale = scale;
     glBindFramebuffer(GL_FRAMEBUFFER, t.framebuffer.get());
-    if (!fine || !multisampled_) {
-      glBindTexture(GL_TEXTURE_2D, t.colour.get());
-      glTexStorage2D(GL_TEXTURE_2D, 1, GL_RGBA16F, scale * width_, scale * height_);
-      glFramebufferTexture2D(GL_FRAMEBUFFER, GL_COLOR_ATTACHMENT0, GL_TEXTURE_2D, t.colour.get(),
-                             0);
-    }
+    if (!fine || !multisampled()) attach_pictures(t);
     if (fine) attach_fine(t);
     if (glCheckFramebufferStatus(GL_FRAMEBUFFER) != GL_FRAMEBUFFER_COMPLETE) {
       width_ = height_ = 0;
@@ -61,7 +67,7 @@ Result<void> Canvas::make_targets() {
     return {};
   };
   PENUMBRA_TRY(add(oversampling_, true));
-  if (multisampled_) PENUMBRA_TRY(add(oversampling_, false));
+  if (multisampled()) PENUMBRA_TRY(add(oversampling_, false));
   for (int scale = oversampling_ / 2; scale >= 1; scale /= 2) PENUMBRA_TRY(add(scale, false));
   return {};
 }
@@ -84,18 +90,30 @@ Result<void> Canvas::begin(const Rect& rect, int frame_width, int frame_height) 
 }
 
 void Canvas::finish(Layer& out) {
-  const int w = out.rect.width(), h = out.rect.height();
+  take_mean(0, out.rect, out.halves);
+  if (kind_ == CanvasKind::kWeighted) take_mean(1, out.rect, out.weights);
+}
+
+void Canvas::take_mean(std::size_t picture, const Rect& rect,
+                       std::vector<std::uint16_t>& out) const {
+  const int w = rect.width(), h = rect.height();
+  const std::array<GLenum, 2> only{picture == 0 ? GLenum{GL_COLOR_ATTACHMENT0} : GLenum{GL_NONE},
+                                   GL_COLOR_ATTACHMENT1};
+  const auto attachment = static_cast<GLenum>(GL_COLOR_ATTACHMENT0 + picture);
   for (std::size_t i = 1; i < targets_.size(); ++i) {
     // A linear blit of exactly two to one reads between four samples: their mean.
     const int from = targets_[i - 1].scale, to = targets_[i].scale;
     glBindFramebuffer(GL_READ_FRAMEBUFFER, targets_[i - 1].framebuffer.get());
+    glReadBuffer(attachment);
     glBindFramebuffer(GL_DRAW_FRAMEBUFFER, targets_[i].framebuffer.get());
+    glDrawBuffers(static_cast<GLsizei>(picture + 1), only.data());
     glBlitFramebuffer(0, 0, from * w, from * h, 0, 0, to * w, to * h, GL_COLOR_BUFFER_BIT,
                       from == to ? GL_NEAREST : GL_LINEAR);
   }
-  out.halves.resize(static_cast<std::size_t>(w) * static_cast<std::size_t>(h) * 4);
+  out.resize(static_cast<std::size_t>(w) * static_cast<std::size_t>(h) * 4);
   glBindFramebuffer(GL_READ_FRAMEBUFFER, targets_.back().framebuffer.get());
-  glReadPixels(0, 0, w, h, GL_RGBA, GL_HALF_FLOAT, out.halves.data());
+  glReadBuffer(attachment);
+  glReadPixels(0, 0, w, h, GL_RGBA, GL_HALF_FLOAT, out.data());
 }
 
 }  // namespace penumbra::compositor

@@ -1,6 +1,7 @@
 // Where GL draws a layer: larger than it is shown, averaged and read back.
 #pragma once
 
+#include <array>
 #include <cstdint>
 #include <memory>
 #include <span>
@@ -15,10 +16,15 @@ namespace penumbra::compositor {
 /// A drawn layer: half-float RGBA of the rectangle, row by row from the top.
 struct Layer {
   Rect rect;
-  std::vector<std::uint16_t> halves;  // keeps its capacity between frames
-  std::span<const std::uint16_t> row(int y) const {
+  std::vector<std::uint16_t> halves;     // both keep their capacity between frames
+  std::vector<std::uint16_t> weights{};  // likewise, of a weighted canvas
+  std::span<const std::uint16_t> row(int y) const { return row_of(halves, y); }
+  std::span<const std::uint16_t> weights_row(int y) const { return row_of(weights, y); }
+
+ private:
+  std::span<const std::uint16_t> row_of(std::span<const std::uint16_t> all, int y) const {
     const auto stride = static_cast<std::size_t>(rect.width()) * 4;
-    return std::span(halves).subspan(static_cast<std::size_t>(y - rect.y0) * stride, stride);
+    return all.subspan(static_cast<std::size_t>(y - rect.y0) * stride, stride);
   }
 };
 
@@ -43,10 +49,12 @@ struct CommonLayer {
 /// it.
 class Canvas {
  public:
-  /// oversampling: samples a pixel along each axis, a power of two; multisampled: four samples a
-  /// pixel that are shaded once, for programs that take long.
-  explicit Canvas(int oversampling, bool multisampled = false)
-      : oversampling_(oversampling), multisampled_(multisampled) {}
+  /// kMultisampled: four samples a pixel that are shaded once, for programs that take long;
+  /// kWeighted: with a second picture, of weights.
+  enum class CanvasKind { kPlain, kMultisampled, kWeighted };
+  /// oversampling: samples a pixel along each axis, a power of two
+  explicit Canvas(int oversampling, CanvasKind kind = CanvasKind::kPlain)
+      : oversampling_(oversampling), kind_(kind) {}
 
   /// Cleared to nothing, with the viewport of a frame of that size placed so that the rectangle
   /// lies in the corner.
@@ -59,17 +67,21 @@ class Canvas {
   // The fine picture first, each following one half as large, the last at one sample a pixel.
   struct Target {
     GlFramebuffer framebuffer;
-    GlTexture colour;
+    std::array<GlTexture, 2> pictures;  // colour and weights
     int scale;
   };
   bool fits(const Rect& rect) const;
+  bool multisampled() const { return kind_ == CanvasKind::kMultisampled; }
+  std::size_t picture_count() const { return kind_ == CanvasKind::kWeighted ? 2 : 1; }
+  void attach_pictures(Target& target) const;
   void attach_fine(Target& target);
+  void take_mean(std::size_t picture, const Rect& rect, std::vector<std::uint16_t>& out) const;
   Result<void> make_targets();
 
   static constexpr GLsizei kSamples = 4;
 
   int oversampling_;
-  bool multisampled_;
+  CanvasKind kind_;
   int width_ = 0, height_ = 0;  // pixels that there is room for
   std::vector<Target> targets_;
   GlRenderbuffer fine_depth_, samples_;

@@ -135,17 +135,21 @@ void main() {
 constexpr const char* kRealMeshVertex = R"(
 layout(location = 0) in vec3 position;
 layout(location = 1) in vec3 deficit;
-out vec3 loss;
+layout(location = 2) in vec3 vertex_weight;
+out vec3 loss, weight;
 void main() {
   loss = deficit;
+  weight = vertex_weight;
   gl_Position = place_in_picture(position);
 })";
 constexpr const char* kRealMeshFragment = R"(
-in vec3 loss;
-out vec4 colour;
+in vec3 loss, weight;
+layout(location = 0) out vec4 colour;
+layout(location = 1) out vec4 share;
 void main() {
   if (!is_shown()) discard;
-  colour = vec4(loss * seen_past_foreground(), 1);
+  colour = vec4(weight * loss * seen_past_foreground(), 1);
+  share = vec4(weight, 1);
 }
 )";
 

@@ -289,6 +289,10 @@ Layers::Occluder Layers::upload(const prt::Mesh& mesh) {
   glBindBuffer(GL_ARRAY_BUFFER, o.deficits.get());
   glBufferData(GL_ARRAY_BUFFER, bytes_of(zeros), zeros.data(), GL_DYNAMIC_DRAW);
   attribute(1, 3, 0);
+  const std::vector<float> ones(3 * mesh.positions.size(), 1.f);
+  glBindBuffer(GL_ARRAY_BUFFER, o.weights.get());
+  glBufferData(GL_ARRAY_BUFFER, bytes_of(ones), ones.data(), GL_DYNAMIC_DRAW);
+  attribute(2, 3, 0);
   glBindBuffer(GL_ELEMENT_ARRAY_BUFFER, o.indices.get());
   glBufferData(GL_ELEMENT_ARRAY_BUFFER, bytes_of(mesh.triangles), mesh.triangles.data(),
                GL_STATIC_DRAW);
@@ -305,13 +309,17 @@ int Layers::add_occluder(const prt::Mesh& mesh) {
   return static_cast<int>(occluders_.size()) - 1;
 }
 
-void Layers::set_ratios(int occluder, std::span<const Rgb> ratios) {
+void Layers::set_ratios(int occluder, std::span<const Rgb> ratios, std::span<const Rgb> weights) {
   const auto index = static_cast<std::size_t>(occluder);
+  const auto upload_to = [&](const GlBuffer& buffer, std::vector<Rgb> values) {
+    occluder_meshes_[index].drawn_vertices.extend(values);
+    glBindBuffer(GL_ARRAY_BUFFER, buffer.get());
+    glBufferSubData(GL_ARRAY_BUFFER, 0, bytes_of(values), values.data());
+  };
   std::vector<Rgb> deficits;
   for (const Rgb& s : ratios) deficits.push_back({1 - s.r, 1 - s.g, 1 - s.b});
-  occluder_meshes_[index].drawn_vertices.extend(deficits);
-  glBindBuffer(GL_ARRAY_BUFFER, occluders_[index].deficits.get());
-  glBufferSubData(GL_ARRAY_BUFFER, 0, bytes_of(deficits), deficits.data());
+  upload_to(occluders_[index].deficits, std::move(deficits));
+  upload_to(occluders_[index].weights, {weights.begin(), weights.end()});
   OccluderMesh& mesh = occluder_meshes_[index];
   const Rgb open{1, 1, 1};
   std::optional<prt::Bounds> shaded;

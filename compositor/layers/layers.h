@@ -45,8 +45,8 @@ class Layers {
   /// As Glossy::set_floor. in: an object that mirrors, with a receiver
   void set_floor(int object, const Image<Rgb>& ratios);
   int add_occluder(const prt::Mesh& mesh);
-  /// Shadow ratios at the vertices of real geometry.
-  void set_ratios(int occluder, std::span<const Rgb> ratios);
+  /// Shadow ratios at the vertices of real geometry, and what they weigh beside an open plane.
+  void set_ratios(int occluder, std::span<const Rgb> ratios, std::span<const Rgb> weights);
   void add_plane(const glm::dvec3& point, const glm::dvec3& normal);
 
   bool has_occluders() const { return !occluders_.empty(); }
@@ -55,8 +55,9 @@ class Layers {
   /// objects: premultiplied signal (radiance times signal_per_radiance) and coverage, averaged over
   /// each pixel: of samples, or where that shows no worse of one sample and the objects' contours.
   /// hidden: real geometry inside `receiver_area` and wherever it is shaded itself: what is taken
-  /// of its light, premultiplied, and coverage; empty without any. Both are left as they are when
-  /// nothing changed since the last call; the caller keeps them.
+  /// of its light times its weight, and coverage, beside the weights; all premultiplied, empty
+  /// without any. Both layers are left as they are when nothing changed since the last call; the
+  /// caller keeps them.
   Result<void> draw(const View& view, const Rect& receiver_area, CommonLayer& objects,
                     CommonLayer& hidden);
 
@@ -98,7 +99,7 @@ class Layers {
   };
   struct Occluder {
     GlVertexArray geometry;
-    GlBuffer vertices, deficits, indices;
+    GlBuffer vertices, deficits, weights, indices;
     GLsizei index_count = 0;
   };
   struct DrawnPlane {
@@ -129,9 +130,9 @@ class Layers {
         height_(height),
         fine_(oversampling > 2),
         objects_canvas_(oversampling),
-        glossy_canvas_(1, true),
+        glossy_canvas_(1, Canvas::CanvasKind::kMultisampled),
         plain_canvas_(1),
-        hidden_canvas_(oversampling),
+        hidden_canvas_(oversampling, Canvas::CanvasKind::kWeighted),
         programs_(std::move(programs)),
         white_(std::move(white)) {}
   void draw_occluders(const ViewProjection& from_world);

@@ -38,10 +38,10 @@ struct Linear {
 
 /// Rows of one worker: shadow ratios and the layers as floats.
 struct RowBuffers {
-  std::vector<float> r, g, b, object, hidden;
+  std::vector<float> r, g, b, object, hidden, weights, left;
   void resize(std::size_t width) {
     for (auto* v : {&r, &g, &b}) v->resize(width);
-    for (auto* v : {&object, &hidden}) v->resize(4 * width);
+    for (auto* v : {&object, &hidden, &weights, &left}) v->resize(4 * width);
   }
 };
 
@@ -49,8 +49,11 @@ inline bool has_row(const Layer& layer, int y) {
   return y >= layer.rect.y0 && y < layer.rect.y1;
 }
 
+inline void load_halves(std::span<const std::uint16_t> row, std::vector<float>& out) {
+  floats_from_halves(row, std::span(out).first(row.size()));
+}
 inline void load_row(const Layer& layer, int y, std::vector<float>& out) {
-  floats_from_halves(layer.row(y), std::span(out).first(layer.row(y).size()));
+  load_halves(layer.row(y), out);
 }
 
 /// What one frame is composited from.
@@ -96,6 +99,41 @@ inline void spare_foreground(const Layered& in, int y, RowBuffers& rows) {
   }
 }
 
+/// Of an open plane's light: what real things shade altogether is still seen.
+inline constexpr float kMinPlaneWeight = .01f;
+
+/// What a pixel shows of real meshes and of the plane behind them keeps the mean of their ratios, by
+/// the light that leaves each.
+inline void weigh_surfaces(const Layered& in, int y, RowBuffers& rows) {
+  const int x0 = std::max(in.hidden.rect.x0, in.area.x0),
+            x1 = std::min(in.hidden.rect.x1, in.area.x1);
+  if (x0 >= x1) return;
+  load_row(in.hidden, y, rows.hidden);
+  const auto in_hidden = [&](int x) { return static_cast<std::size_t>(x - in.hidden.rect.x0) * 4; };
+  int first = x1, last = x0;  // of those that show something of a mesh
+  for (int x = x0; x < x1; ++x)
+    if (rows.hidden[in_hidden(x) + 3] > 0) first = std::min(first, x), last = x + 1;
+  if (first >= last) return;
+  load_halves(in.hidden.weights_row(y), rows.weights);
+  const auto width = static_cast<std::size_t>(last - first);
+  const std::span left = std::span(rows.left).first(3 * width);
+  std::ranges::fill(left, 1.f);
+  in.receivers.multiply_by_left(y, {first, y, last, y + 1}, left);
+  std::vector<float>* const ratios[] = {&rows.r, &rows.g, &rows.b};
+  for (int x = first; x < last; ++x) {
+    const float *const taken = &rows.hidden[in_hidden(x)], *const weight =
+                                                               &rows.weights[in_hidden(x)];
+    if (taken[3] <= 0) continue;
+    const float seen = 1 - taken[3];
+    for (std::size_t c = 0; c < 3; ++c) {
+      float& s = (*ratios[c])[static_cast<std::size_t>(x - in.area.x0)];
+      const float plane =
+          seen * std::max(left[c * width + static_cast<std::size_t>(x - first)], kMinPlaneWeight);
+      s = 1 + (plane * (s - 1) - taken[c]) / (plane + weight[c]);
+    }
+  }
+}
+
 /// Ratios of the row; real geometry in front of the receiver brings its own. False when no shadow
 /// reaches it: then they are 1.
 inline bool load_shadows(const Layered& in, int y, RowBuffers& rows) {
@@ -105,16 +143,7 @@ inline bool load_shadows(const Layered& in, int y, RowBuffers& rows) {
       in.receivers.load_row(y, in.area, rows.r.data(), rows.g.data(), rows.b.data());
   if (on_planes) spare_foreground(in, y, rows);
   if (!has_row(in.hidden, y)) return on_planes;
-  load_row(in.hidden, y, rows.hidden);
-  for (int x = std::max(in.hidden.rect.x0, in.area.x0); x < std::min(in.hidden.rect.x1, in.area.x1);
-       ++x) {
-    const float* const real = &rows.hidden[static_cast<std::size_t>(x - in.hidden.rect.x0) * 4];
-    const auto i = static_cast<std::size_t>(x - in.area.x0);
-    const float seen = 1 - real[3];
-    rows.r[i] = 1 + seen * (rows.r[i] - 1) - real[0];
-    rows.g[i] = 1 + seen * (rows.g[i] - 1) - real[1];
-    rows.b[i] = 1 + seen * (rows.b[i] - 1) - real[2];
-  }
+  weigh_surfaces(in, y, rows);
   return true;
 }
 

@@ -364,11 +364,11 @@ bool Receivers::load_row(int y, const Rect& area, float* r, float* g, float* b) 
 }
 
 // Of each light its fine map where there is one, else the wide one.
-void Receivers::take_missing(int y, const Rect& area, std::span<float> r, std::span<float> g,
-                             std::span<float> b) const {
+void Receivers::take_missing(int y, const Rect& area, std::span<float> left) const {
   thread_local std::vector<float> row;  // grows once per thread
+  const std::size_t width = left.size() / 3;
   for (std::size_t shadow_map = 0; shadow_map < real_occlusion_.size(); ++shadow_map) {
-    row.assign(r.size(), 0.f);
+    row.assign(width, 0.f);
     const auto load = [&](const ShadowMapLookup& d) {
       for_visible(d, y, area, [&](const Columns& c) {
         load_shadow_values(d, y, c.x0, c.x1, &row[static_cast<std::size_t>(c.x0 - area.x0)]);
@@ -378,12 +378,16 @@ void Receivers::take_missing(int y, const Rect& area, std::span<float> r, std::s
     for (const FineLookup& fine : fine_missing_)
       if (fine.real == shadow_map) load(fine.map);
     const Rgb& fraction = real_occlusion_[shadow_map].fraction;
-    for (std::size_t x = 0; x < row.size(); ++x) {
-      r[x] -= fraction.r * row[x];
-      g[x] -= fraction.g * row[x];
-      b[x] -= fraction.b * row[x];
-    }
+    for (std::size_t c = 0; c < 3; ++c)
+      for (std::size_t x = 0; x < width; ++x)
+        left[c * width + x] -= fraction[static_cast<int>(c)] * row[x];
   }
+}
+
+void Receivers::multiply_by_left(int y, const Rect& area, std::span<float> left) const {
+  const std::size_t width = left.size() / 3;
+  if (real_lookup_) multiply(*real_lookup_, y, area, &left[0], &left[width], &left[2 * width]);
+  take_missing(y, area, left);
 }
 
 void Receivers::subtract_shadows(int y, const Rect& area, float* r, float* g, float* b) const {
@@ -401,11 +405,8 @@ void Receivers::subtract_shadows(int y, const Rect& area, float* r, float* g, fl
   } else {
     thread_local std::vector<float> left;  // by real things; grows once per thread
     left.assign(3 * width, 1.f);
-    const std::span<float> lr(&left[0], width), lg(&left[width], width),
-        lb(&left[2 * width], width);
-    if (real_lookup_) multiply(*real_lookup_, y, area, lr.data(), lg.data(), lb.data());
     subtract_taken();
-    take_missing(y, area, lr, lg, lb);
+    multiply_by_left(y, area, left);
     for (std::size_t c = 0; c < 3; ++c)
       for (std::size_t x = 0; x < width; ++x)
         rows[c][x] = 1 - (1 - rows[c][x]) / std::max(left[c * width + x], kMinLeft);

@@ -116,6 +116,10 @@ class Receivers {
   /// plane's light. r is what real things leave of the rest. False when no shadow reaches the row.
   /// area: may be narrower; reach_in_row alone is shaded
   bool load_row(int y, const Rect& area, float* r, float* g, float* b) const;
+  /// Multiplies pixels of row y by what real things leave of the open plane's light there, the
+  /// denominator above.
+  /// out: left: area.width() of each colour, one colour after the other
+  void multiply_by_left(int y, const Rect& area, std::span<float> left) const;
   /// The pixels of row y that any shadow can reach: seen slantwise they are far fewer than the
   /// rectangle holds.
   Rect reach_in_row(int y) const;
@@ -167,8 +171,7 @@ class Receivers {
                       const FloorReceiver& receiver, PlaneLookup& out);
   void multiply(const PlaneLookup& plane, int y, const Rect& area, float* r, float* g,
                 float* b) const;
-  void take_missing(int y, const Rect& area, std::span<float> r, std::span<float> g,
-                    std::span<float> b) const;
+  void take_missing(int y, const Rect& area, std::span<float> left) const;
   static void take_light(const OnPlane& light, const Pose& map_from_grid,
                          const std::vector<glm::dvec3>& places, Image<Rgb>& out);
   /// The lights' shadows, and what is left of it all by real things.

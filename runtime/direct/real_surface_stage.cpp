@@ -85,4 +85,18 @@ std::vector<Rgb> RealSurfaceStage::ratios(const lighting::LightEstimate& light,
   return out;
 }
 
+std::vector<Rgb> RealSurfaceStage::weights(const Rgb& plane_radiance) const {
+  constexpr float kRange = 1e3f;
+  Rgb mean;
+  for (const Rgb& radiance : exit_) mean += radiance * (1 / static_cast<float>(exit_.size()));
+  std::vector<Rgb> out(exit_.size(), Rgb{1, 1, 1});
+  for (int c = 0; c < 3; ++c) {
+    const float whole = plane_radiance[c] > 0 ? plane_radiance[c] : mean[c];
+    if (!(whole > 0)) continue;
+    for (std::size_t i = 0; i < out.size(); ++i)
+      out[i][c] = std::clamp(exit_[i][c] / whole, 1 / kRange, kRange);
+  }
+  return out;
+}
+
 }  // namespace penumbra::runtime

@@ -60,11 +60,16 @@ compositor::Appearance appearance_of(const PreparedObject& o) {
 // shows on an object, by 0.1 %.
 constexpr double kPatternsError = 5e-4;
 
-// What the floor sends where nothing shades it, if it is all that is real; 0 where its albedo is
-// not known.
+// What the first plane sends where nothing shades it; 0 where its albedo is not known.
+Rgb radiance_of_plane(const PreparedScene& scene, std::span<const Rgb> open) {
+  if (scene.planes.empty()) return {};
+  return scene.planes[0].albedo * open[0] * static_cast<float>(1 / kPi);
+}
+
+// The same, if it is all that is real.
 Rgb radiance_of_floor(const PreparedScene& scene, std::span<const Rgb> open) {
   if (scene.planes.size() != 1 || !scene.real_mesh.triangles.empty()) return {};
-  return scene.planes[0].albedo * open[0] * static_cast<float>(1 / kPi);
+  return radiance_of_plane(scene, open);
 }
 
 }  // namespace
@@ -299,7 +304,8 @@ bool CompositeStage::shade(const lighting::LightEstimate& light, double seconds,
   compositor_->set_shadow_maps(on_planes_);
   shade_real_mesh(light, poses_, other_form);
   if (real_.any()) {
-    compositor_->set_ratios(0, real_ratios_);
+    compositor_->set_ratios(0, real_ratios_,
+                            real_.weights(radiance_of_plane(scene_, planes_.irradiance())));
     if (real_.shadow()) compositor_->set_real_shadow(*real_.shadow());
   }
   return true;

@@ -25,8 +25,11 @@ std::array<float, 4> layer_value(int x, int y) {
 Layer layer(const Rect& rect) {
   Layer out{rect, {}};
   for (int y = rect.y0; y < rect.y1; ++y)
-    for (int x = rect.x0; x < rect.x1; ++x)
-      for (const float v : layer_value(x, y)) out.halves.push_back(half_from_float(v));
+    for (int x = rect.x0; x < rect.x1; ++x) {
+      const auto value = layer_value(x, y);
+      for (const float v : value) out.halves.push_back(half_from_float(v));
+      out.weights.insert(out.weights.end(), 4, half_from_float(value[3]));  // as the plane
+    }
   return out;
 }
 
