@@ -10,6 +10,7 @@
 #include "capture/device/internal/bracketed_camera.h"
 #include "capture/device/internal/libcamera_device.h"
 #include "capture/device/internal/v4l2_node.h"
+#include "core/exceptions.h"
 #include "core/threads/processor_time.h"
 
 namespace penumbra::capture {
@@ -111,7 +112,7 @@ struct Rig::Station {
         hand_on(**frame);
       }
     } catch (const std::exception& e) {
-      failed.put({ErrorCode::kUnavailable, camera.info.name, e.what()});
+      failed.put({ErrorCode::kUnavailable, camera.info.name, reason_of(e)});
       frames.close();
     }
   }

@@ -18,6 +18,7 @@
 #include <utility>
 
 #include "capture/poses/pose_line.h"
+#include "core/exceptions.h"
 #include "core/io/log.h"
 
 namespace penumbra::capture {
@@ -109,7 +110,7 @@ Result<std::unique_ptr<PoseStream>> PoseStream::open(const PoseStreamOptions& op
   try {
     out->thread_ = std::jthread([stream = out.get()](const std::stop_token& s) { stream->run(s); });
   } catch (const std::system_error& e) {
-    return fail(ErrorCode::kUnavailable, name, e.what());
+    return fail(ErrorCode::kUnavailable, name, reason_of(e));
   }
   return out;
 }
@@ -139,7 +140,7 @@ void PoseStream::run(const std::stop_token& stop) noexcept {
     }
     if (!stop.stop_requested()) log_warning("{}: {}", name_, std::strerror(errno));
   } catch (const std::exception& e) {
-    log_warning("{}: ended: {}", name_, e.what());
+    log_warning("{}: ended: {}", name_, reason_of(e));
   }
 }
 

@@ -1,4 +1,5 @@
 #include "core/io/files.h"
+#include "core/exceptions.h"
 
 #include <unistd.h>
 
@@ -36,7 +37,7 @@ Result<void> replace_file(const fs::path& target,
   try {
     written = write(temporary);
   } catch (const std::exception& e) {
-    written = fail(ErrorCode::kUnwritable, target.string(), e.what());
+    written = fail(ErrorCode::kUnwritable, target.string(), reason_of(e));
   } catch (...) {
     written = fail(ErrorCode::kUnwritable, target.string(),
                    "cannot be written for a reason that is not known");

@@ -9,6 +9,7 @@
 #include <optional>
 #include <utility>
 
+#include "core/exceptions.h"
 #include "core/half.h"
 #include "core/io/files.h"
 #include "prt/bake/bake.h"
@@ -377,7 +378,7 @@ Result<BakedObject> read_baked(const std::filesystem::path& path) {
                   error.empty() ? "is not a binary glTF" : error);
     }
   } catch (const std::exception& e) {
-    return fail(ErrorCode::kUnreadable, path.string(), e.what());
+    return fail(ErrorCode::kUnreadable, path.string(), reason_of(e));
   }
   PENUMBRA_ASSIGN(object, from_model(model, path.string()));
   PENUMBRA_ASSIGN(surface, read_surface(model, std::move(bytes), path, object.mesh));

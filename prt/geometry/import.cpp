@@ -7,6 +7,7 @@
 #include <memory>
 #include <utility>
 
+#include "core/exceptions.h"
 #include "prt/geometry/gltf/gltf.h"
 #include "prt/geometry/gltf/internal/mean_colour.h"
 #include "prt/geometry/internal/assimp_materials.h"
@@ -140,7 +141,7 @@ Result<Import> import_mesh(const std::filesystem::path& path, Rgb default_albedo
     PENUMBRA_ASSIGN(scene, open_scene(importer, path));
     return SceneImport(*scene, path, default_albedo).run();
   } catch (const std::exception& e) {
-    return fail(ErrorCode::kUnreadable, file, e.what());
+    return fail(ErrorCode::kUnreadable, file, reason_of(e));
   }
 }
 

@@ -14,6 +14,7 @@
 
 #include "capture/frames.h"
 #include "core/counted.h"
+#include "core/exceptions.h"
 #include "core/io/log.h"
 #include "core/threads/background_task.h"
 #include "core/threads/processor_time.h"
@@ -297,7 +298,7 @@ void produce(Live& live, capture::FrameSource& source, const LightEstimationStag
     live.environment.close();
     live.view.close();
   } catch (const std::exception& e) {
-    live.stop_with({ErrorCode::kUnavailable, "source thread", e.what()});
+    live.stop_with({ErrorCode::kUnavailable, "source thread", reason_of(e)});
   }
 }
 
@@ -336,7 +337,7 @@ void measure(Live& live, LightEstimationStage& light, const LiveChanges& changes
       }
     }
   } catch (const std::exception& e) {
-    live.stop_with({ErrorCode::kUnavailable, "light thread", e.what()});
+    live.stop_with({ErrorCode::kUnavailable, "light thread", reason_of(e)});
   }
 }
 

@@ -7,6 +7,7 @@
 #include <exception>
 #include <utility>
 
+#include "core/exceptions.h"
 #include "core/io/log.h"
 
 namespace penumbra::service {
@@ -119,7 +120,7 @@ void SessionThread::run(const std::stop_token& stop, std::promise<Result<void>>&
   try {
     begun = begin();
   } catch (const std::exception& e) {
-    begun = fail(ErrorCode::kUnavailable, "headset", e.what());
+    begun = fail(ErrorCode::kUnavailable, "headset", reason_of(e));
   }
   ready.set_value(begun);
   while (begun && !stop.stop_requested()) {
@@ -127,7 +128,7 @@ void SessionThread::run(const std::stop_token& stop, std::promise<Result<void>>&
     try {
       lived = live(stop, *graphics);
     } catch (const std::exception& e) {
-      lived = fail(ErrorCode::kUnavailable, "headset", e.what());
+      lived = fail(ErrorCode::kUnavailable, "headset", reason_of(e));
     }
     set_phase(HeadsetPhase::kLost);
     if (stop.stop_requested()) break;
@@ -158,7 +159,7 @@ Result<void> SessionThread::live(const std::stop_token& stop, HeadsetGraphics& g
   try {
     lived = live_with(stop, *session, *runtime);
   } catch (const std::exception& e) {
-    lived = fail(ErrorCode::kUnavailable, "headset", e.what());
+    lived = fail(ErrorCode::kUnavailable, "headset", reason_of(e));
   }
   {
     const std::unique_lock lock(living_mutex_);

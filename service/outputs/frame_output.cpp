@@ -5,6 +5,7 @@
 #include <numeric>
 #include <utility>
 
+#include "core/exceptions.h"
 #include "core/io/log.h"
 #include "core/threads/processor_time.h"
 #include "service/outputs/internal/frame_sink.h"
@@ -87,7 +88,7 @@ void FrameOutput::run(const std::stop_token& stop) {
   try {
     done = serve(stop);
   } catch (const std::exception& e) {
-    done = fail(ErrorCode::kUnavailable, name_, e.what());
+    done = fail(ErrorCode::kUnavailable, name_, reason_of(e));
   }
   sink_.reset();
   newest_.close();

@@ -3,6 +3,7 @@
 #include <exception>
 #include <utility>
 
+#include "core/exceptions.h"
 #include "core/io/log.h"
 
 namespace penumbra::service {
@@ -56,7 +57,7 @@ void OutputSet::change(const Targets& targets) {
     try {
       for (std::size_t kind = 0; kind < kKinds.size(); ++kind) change_one(kind, targets[kind]);
     } catch (const std::exception& e) {
-      log_warning("the outputs stay as they are: {}", e.what());
+      log_warning("the outputs stay as they are: {}", reason_of(e));
     }
   });
 }

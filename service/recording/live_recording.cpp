@@ -9,6 +9,7 @@
 #include <ctime>
 #include <utility>
 
+#include "core/exceptions.h"
 #include "core/io/log.h"
 #include "core/threads/queues.h"
 
@@ -172,7 +173,7 @@ Result<std::string> LiveRecording::start(const std::string& name, runtime::KeptL
     try {
       done = record_frames(*frames, file, {}, stop_, tell);
     } catch (const std::exception& e) {
-      done = fail(ErrorCode::kUnavailable, file.string(), e.what());
+      done = fail(ErrorCode::kUnavailable, file.string(), reason_of(e));
     }
     const std::scoped_lock told(mutex_);
     state_->active = false;

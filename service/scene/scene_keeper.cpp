@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <utility>
 
+#include "core/exceptions.h"
 #include "core/io/log.h"
 
 namespace penumbra::service {
@@ -16,7 +17,7 @@ Result<runtime::PreparedScene> prepare_safely(const runtime::Scene& scene,
   try {
     return runtime::prepare(scene, settings, progress);
   } catch (const std::exception& e) {
-    return fail(ErrorCode::kUnavailable, "the scene", e.what());
+    return fail(ErrorCode::kUnavailable, "the scene", reason_of(e));
   }
 }
 
@@ -126,7 +127,7 @@ bool SceneKeeper::hand_over(const runtime::Scene& scene, Result<runtime::Prepare
   try {
     taken = ready_(scene, std::move(*prepared));
   } catch (const std::exception& e) {
-    taken = fail(ErrorCode::kUnavailable, "the scene", e.what());
+    taken = fail(ErrorCode::kUnavailable, "the scene", reason_of(e));
   }
   if (!taken) {
     tell("scene", taken.error());

@@ -314,6 +314,23 @@ class BadOutputs(CliTest):
         self.assertEqual(baked.read_text(), "earlier")
         self.assertEqual([p.name for p in out.iterdir()], ["cube.glb"])
 
+    def test_a_bake_that_finds_no_memory(self):
+        out = self.root / "out"
+        out.mkdir(exist_ok=True)
+        baked = out / "knot.glb"
+        reasons = []
+        for megabytes in range(350, 751, 50):  # what is there before the bake differs from machine to machine
+            done = subprocess.run(["sh", "-c", f"ulimit -v {megabytes}000; exec \"$@\"", "sh", program(), "bake",
+                                   "builtin:knot", "-o", str(baked)], env=self.environment, capture_output=True,
+                                  text=True, timeout=300 * PATIENCE, check=False)
+            if done.returncode == 0:
+                break
+            self.assertEqual(done.returncode, 2, done.stdout + done.stderr)
+            reasons.append(done.stderr.splitlines()[-1])
+            self.assertTrue(reasons[-1].startswith("penumbra: "), reasons[-1])
+            self.assertEqual([p.name for p in out.iterdir()], [])
+        self.assertTrue(any("memory" in r for r in reasons), reasons)
+
     def test_numbers_out_of_range_name_their_option(self):
         baked = self.root / "out" / "cube.glb"
         self.expect_refusal(["--bands"], "bake", self.root / "cube.obj", "-o", baked, "--bands", 0)

@@ -213,6 +213,31 @@ class Faults(CliTest):
         self.assertFalse((self.root / "http.sock").exists())
         self.assertFalse((self.root / "light").exists())
 
+    def test_a_bake_without_memory_ends_alone(self):
+        daemon = self.started()
+        self.wait_for(daemon, "never baked", lambda: "preparing" not in daemon.health())
+        with open(f"/proc/{daemon.process.pid}/status", encoding="utf-8") as status:
+            size = 1024 * int(re.search(r"VmSize:\s+(\d+)", status.read()).group(1))
+        no_more = lambda limit: resource.prlimit(daemon.process.pid, resource.RLIMIT_AS,  # noqa: E731
+                                                 (limit, resource.RLIM_INFINITY))
+        knot = {"name": "knot", "asset": "builtin:knot", "size_m": .2, "position_m": [-.4, 0, 0]}
+        objects = lambda: [o["name"] for o in json.loads(daemon.ask("/v1/objects")[1])["objects"]]  # noqa: E731
+        no_more(size + 30_000_000)
+        status, body = daemon.ask("/v1/objects", "POST", knot)
+        self.assertEqual(status, 202, body)
+        self.wait_for(daemon, "no word about memory", lambda: "more memory" in daemon.said())
+        no_more(resource.RLIM_INFINITY)
+        self.wait_until_ok(daemon)
+        before = daemon.health()["frames"]
+        self.wait_for(daemon, "no more frames", lambda: daemon.health()["frames"] > before + 10)
+        if "knot" in objects():  # the coarse one, which found memory
+            self.assertEqual(daemon.ask("/v1/objects/knot", "DELETE")[0], 200)
+            self.wait_for(daemon, "still there", lambda: "knot" not in objects())
+        status, body = daemon.ask("/v1/objects", "POST", knot)
+        self.assertEqual(status, 202, body)
+        self.wait_for(daemon, "not there", lambda: "knot" in objects())
+        self.assertEqual(daemon.end(signal.SIGTERM), 0, daemon.said())
+
     def test_a_cache_that_is_damaged_or_not_there_costs_time_alone(self):
         daemon = self.started()
         self.wait_for(daemon, "never baked", lambda: "preparing" not in daemon.health() and

@@ -10,6 +10,7 @@
 #include <span>
 #include <string_view>
 
+#include "core/exceptions.h"
 #include "core/io/log.h"
 #include "tools/common/arguments.h"
 #include "tools/common/manual.h"
@@ -79,6 +80,8 @@ int run_program(int argc, char** argv, const std::string& name, const std::strin
   }
   try {
     if (const auto result = action(); !result) return report(answers_as, result.error());
+  } catch (const std::bad_alloc& e) {
+    return report(answers_as, {ErrorCode::kUnavailable, "this command", reason_of(e)});
   } catch (const std::exception& e) {
     return report(answers_as, {ErrorCode::kUnavailable, "internal", e.what()});
   }

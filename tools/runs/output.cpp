@@ -8,6 +8,7 @@
 
 #include "codec/codec.h"
 #include "codec/display.h"
+#include "core/exceptions.h"
 #include "core/io/files.h"
 #include "core/io/log.h"
 #include "core/threads/processor_time.h"
@@ -136,7 +137,7 @@ void FrameWriter::work(Bounded<Job>& queue,
     while (auto job = queue.pop())
       if (auto handled = (this->*handle)(*job); !handled) return give_up(std::move(handled));
   } catch (const std::exception& e) {
-    give_up(fail(ErrorCode::kUnwritable, options_.folder.string(), e.what()));
+    give_up(fail(ErrorCode::kUnwritable, options_.folder.string(), reason_of(e)));
   }
 }
 

@@ -9,6 +9,7 @@
 
 #include "codec/codec.h"
 #include "codec/display.h"
+#include "core/exceptions.h"
 #include "core/io/files.h"
 #include "prt/geometry/animation.h"
 #include "prt/geometry/gltf/gltf.h"
@@ -443,7 +444,7 @@ Result<Character> import_character(const std::filesystem::path& path, Rgb defaul
     }
     return character.run();
   } catch (const std::exception& e) {
-    return fail(ErrorCode::kUnreadable, path.string(), e.what());
+    return fail(ErrorCode::kUnreadable, path.string(), reason_of(e));
   }
 }
 

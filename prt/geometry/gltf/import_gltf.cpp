@@ -10,6 +10,7 @@
 #include <map>
 #include <utility>
 
+#include "core/exceptions.h"
 #include "prt/geometry/gltf/gltf.h"
 #include "prt/geometry/gltf/internal/document.h"
 #include "prt/geometry/gltf/internal/frames.h"
@@ -196,7 +197,7 @@ Result<Import> assembled(Result<Document> document, const std::filesystem::path&
   try {
     return Assembly(*document, default_albedo).run();
   } catch (const std::exception& e) {
-    return fail(ErrorCode::kUnreadable, path.string(), e.what());
+    return fail(ErrorCode::kUnreadable, path.string(), reason_of(e));
   }
 }
 
