@@ -148,6 +148,9 @@ def arguments_of(command, binaries, folder):
     if program == "bench":
         rest = [f"--benchmark_filter={rest[0]}", "--benchmark_format=json"]
         program = "penumbra_bench"
+    elif program == "faults":
+        test = ROOT / "tests" / "integration" / "service_faults_test.py"
+        return [sys.executable, str(test), str(binaries / "penumbrad"), *rest], added
     elif program != "penumbra":
         rest = [f"--gtest_filter={rest[0]}"]
         program += "_test"

@@ -319,6 +319,10 @@ def check_definitions(definitions, page, tests, benchmarks):
         program, chosen = re.sub(r"^(?:[A-Z_]+=\S+ )+", "", command).split()[:2]
         if program == "bench" and f"{chosen}" not in benchmarks:
             wrong.append(f"results.toml: {name}: no such benchmark: {chosen}")
+        elif program == "faults":
+            of_class, _, case = chosen.partition(".")
+            if not re.search(rf"^class {of_class}\b(?s:.*)def {case or 'test_'}", tests.get(program, ""), re.MULTILINE):
+                wrong.append(f"results.toml: {name}: no such test: {chosen}")
         elif program not in ("bench", "penumbra"):
             suite, _, case = chosen.partition(".")
             known = [f"{s}.{c}" for s, c in TEST.findall(tests.get(program, ""))]
@@ -378,6 +382,7 @@ def main(arguments):
     page = text(root / "docs" / "results.md")
     tests = {folder.name: "".join(text(f) for f in sorted(folder.glob("*_test.cpp")))
              for folder in (root / "tests").iterdir() if folder.is_dir()}
+    tests["faults"] = text(root / "tests" / "integration" / "service_faults_test.py")
     benchmarks = "".join(text(f) for f in sorted((root / "tests" / "bench").glob("*.cpp")))
     faults = self_test() + check_script(root)
     faults += check_definitions(definitions, page, tests, benchmarks) + check_origins(page)

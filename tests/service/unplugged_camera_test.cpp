@@ -74,6 +74,7 @@ struct Heard {
   std::vector<std::string> statuses;  // each once in a row
   std::vector<int> codes;
   int reconnected = 0;
+  double back_s = 0;  // from plugged in to fresh light
 };
 
 // Asks until it has heard `ok`, `stale` and `ok` again, or half a minute is over.
@@ -81,6 +82,7 @@ Heard listen(int port, const std::atomic<bool>& over) {
   Heard heard;
   httplib::Client client("127.0.0.1", port);
   const auto give_up = Clock::now() + std::chrono::seconds(30);
+  auto plugged_at = give_up;
   while (Clock::now() < give_up && !over) {
     std::this_thread::sleep_for(std::chrono::milliseconds(20));
     const auto answer = client.Get("/healthz");
@@ -91,10 +93,16 @@ Heard listen(int port, const std::atomic<bool>& over) {
       heard.statuses.push_back(status);
       heard.codes.push_back(answer->status);
     }
-    if (status == "stale") plugged_in = true;
+    if (status == "stale" && !plugged_in) {
+      plugged_in = true;
+      plugged_at = Clock::now();
+    }
     if (body.contains("cameras")) heard.reconnected = body["cameras"]["sky"]["reconnected"];
     const auto& s = heard.statuses;
-    if (s.size() >= 3 && s.back() == "ok" && s[s.size() - 2] == "stale") break;
+    if (s.size() >= 3 && s.back() == "ok" && s[s.size() - 2] == "stale") {
+      heard.back_s = Seconds(Clock::now() - plugged_at).count();
+      break;
+    }
   }
   return heard;
 }
@@ -149,6 +157,7 @@ TEST(UnpluggedCamera, ItsLightIsToldStaleAndFreshAgainWhenItIsBack) {
   EXPECT_EQ(heard.codes[last - 1], 503);
   EXPECT_EQ(heard.codes[last], 200);
   EXPECT_EQ(heard.reconnected, 1);
+  std::printf("unplugged: fresh light %.1f s after it is back\n", heard.back_s);
   EXPECT_GT(while_stale, 0) << "the view goes on with the light that it had";
 }
 

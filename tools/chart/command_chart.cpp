@@ -162,7 +162,7 @@ void add_chart(CLI::App& parent, Action& action) {
   c->add_option(
       "--error", chart_options.error,
       "Relative error at which path tracing of the reference stops, above 0 and below 1; by "
-      "default 0.004, with --through-sensor 0.03");
+      "default 0.004, with --through-sensor 0.012");
   c->add_flag(
       "--truncated", chart_options.truncated,
       "Compare with the reference under the same truncated light, which leaves the errors of bake, "
