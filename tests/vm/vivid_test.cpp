@@ -6,10 +6,12 @@
 
 #include <cmath>
 #include <cstdlib>
+#include <ctime>
 
 #include "capture/capture.h"
 #include "capture/device/internal/v4l2_node.h"
 #include "capture/raw_formats.h"
+#include "core/threads/stage_times.h"
 
 namespace penumbra::capture {
 namespace {
@@ -170,6 +172,40 @@ TEST_F(Vivid, FramesCarryTheDriversNumbersAndRisingMonotonicTimes) {
   EXPECT_LT(
       std::abs(static_cast<double>(now.tv_sec) - static_cast<double>(before->time.value) * 1e-9),
       5);
+}
+
+// By an hour on and two back, as when a machine without a battery finds its time server.
+TEST_F(Vivid, AClockThatJumpsMovesNoFrame) {
+  RigCamera one;
+  one.info.name = "view", one.info.role = Role::kView;
+  one.info.projection = *calib::make_projection(calib::ProjectionKind::kPinhole, 640, 360);
+  one.info.response = calib::Response::srgb();
+  one.settings = settings("RGB3");
+  auto rig = Rig::open({one});
+  ASSERT_TRUE(rig) << rig.error().where << " " << rig.error().detail;
+  const auto turn_clock = [](std::time_t seconds) {
+    timespec now{};
+    clock_gettime(CLOCK_REALTIME, &now);
+    now.tv_sec += seconds;
+    ASSERT_EQ(clock_settime(CLOCK_REALTIME, &now), 0) << "the guest's user is no root";
+  };
+  std::optional<TimestampNs> before;
+  for (int i = 0; i < 24; ++i) {
+    if (i == 8) turn_clock(3600);
+    if (i == 16) turn_clock(-7200);
+    const Stopwatch watch;
+    const auto frame = (*rig)->next();
+    ASSERT_TRUE(frame && *frame) << i;
+    EXPECT_LT(watch.ms(), 5000) << i;
+    if (before) {
+      const double apart = ((*frame)->time - *before).count();
+      EXPECT_GT(apart, 0) << i;
+      EXPECT_LT(apart, 2) << i;
+    }
+    before = (*frame)->time;
+  }
+  turn_clock(3600);
+  EXPECT_EQ((*rig)->counts()[0].reconnected, 0u);
 }
 
 TEST_F(Vivid, WhatItDoesNotOfferIsRefusedInOneLine) {
