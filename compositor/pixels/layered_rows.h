@@ -102,8 +102,8 @@ inline void spare_foreground(const Layered& in, int y, RowBuffers& rows) {
 /// Of an open plane's light: what real things shade altogether is still seen.
 inline constexpr float kMinPlaneWeight = .01f;
 
-/// What a pixel shows of real meshes and of the plane behind them keeps the mean of their ratios, by
-/// the light that leaves each.
+/// What a pixel shows of real meshes and of the plane behind them keeps the mean of their ratios,
+/// by the light that leaves each.
 inline void weigh_surfaces(const Layered& in, int y, RowBuffers& rows) {
   const int x0 = std::max(in.hidden.rect.x0, in.area.x0),
             x1 = std::min(in.hidden.rect.x1, in.area.x1);

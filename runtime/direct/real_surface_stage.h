@@ -38,8 +38,8 @@ class RealSurfaceStage {
   /// send more than they take
   std::vector<Rgb> ratios(const lighting::LightEstimate& light, std::span<const Rgb> lost,
                           const LampStage& lamps) const;
-  /// Exit radiance of the vertices over that of a plane, which is 0 where nobody knows it: then over
-  /// the vertices' own mean. 1e-3..1e3.
+  /// Exit radiance of the vertices over that of a plane, which is 0 where nobody knows it: then
+  /// over the vertices' own mean. 1e-3..1e3.
   std::vector<Rgb> weights(const Rgb& plane_radiance) const;
 
  private:
