@@ -28,6 +28,7 @@
 #include "codec/internal/formats.h"
 #include "codec/internal/frame_header.h"
 #include "codec/log/log_jpeg2000.h"
+#include "core/exceptions.h"
 #include "core/io/files.h"
 
 namespace penumbra::codec {
@@ -330,7 +331,7 @@ Result<HdrImage> decode_exr(Bytes bytes, const std::string& name) {
   try {
     return decode_checked(bytes, name);
   } catch (const std::exception& e) {
-    return fail(ErrorCode::kUnreadable, name, e.what());
+    return fail(ErrorCode::kUnreadable, name, reason_of(e));
   }
 }
 
@@ -363,7 +364,7 @@ Result<void> write_hdr(const std::filesystem::path& path, const Image<Rgb>& pixe
   try {
     return write_bytes(path, encode_exr(path.string(), pixels, depth, environment, alpha));
   } catch (const std::exception& e) {
-    return fail(ErrorCode::kUnwritable, path.string(), e.what());
+    return fail(ErrorCode::kUnwritable, path.string(), reason_of(e));
   }
 }
 

@@ -9,8 +9,9 @@
 #pragma GCC visibility push(default)
 namespace penumbra {
 
+/// Short enough for strings to hold without memory.
 inline std::string reason_of(const std::exception& e) {
-  return dynamic_cast<const std::bad_alloc*>(&e) ? "needs more memory than there is" : e.what();
+  return dynamic_cast<const std::bad_alloc*>(&e) ? "out of memory" : e.what();
 }
 
 }  // namespace penumbra

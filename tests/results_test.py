@@ -321,7 +321,8 @@ def check_definitions(definitions, page, tests, benchmarks):
             wrong.append(f"results.toml: {name}: no such benchmark: {chosen}")
         elif program == "faults":
             of_class, _, case = chosen.partition(".")
-            if not re.search(rf"^class {of_class}\b(?s:.*)def {case or 'test_'}", tests.get(program, ""), re.MULTILINE):
+            body = re.search(rf"^class {of_class}\b(?s:.*?)(?=^class |\Z)", tests.get(program, ""), re.MULTILINE)
+            if not body or f"def {case or 'test_'}" not in body[0]:
                 wrong.append(f"results.toml: {name}: no such test: {chosen}")
         elif program not in ("bench", "penumbra"):
             suite, _, case = chosen.partition(".")

@@ -3,6 +3,7 @@
 #include <exception>
 
 #include "calib/import/internal/import_fields.h"
+#include "core/exceptions.h"
 #include "core/io/files.h"
 
 namespace penumbra::calib {
@@ -28,7 +29,7 @@ Result<ImportedRig> parse_camera_import(std::string_view text, const std::filesy
   try {
     return read_any_format(text, path.string());
   } catch (const std::exception& e) {
-    return fail(ErrorCode::kUnreadable, path.string(), e.what());
+    return fail(ErrorCode::kUnreadable, path.string(), reason_of(e));
   }
 }
 

@@ -102,8 +102,8 @@ class Compositor {
   /// The number names it for set_ratios.
   int add_occluder(const prt::Mesh& world_mesh);
   /// What virtual things leave of the light at the vertices of real geometry; 1 after add_occluder.
-  /// weights: the radiance that leaves them without virtual things, over that of an open plane, at
-  /// least 1e-3: what a pixel shows of several surfaces counts by its light. 1 after add_occluder.
+  /// weights: the radiance that leaves them without virtual things, over that of an open plane,
+  /// 1e-3..1e3: what a pixel shows of several surfaces counts by its light. 1 after add_occluder.
   void set_ratios(int occluder, std::span<const Rgb> ratios, std::span<const Rgb> weights);
   /// A real plane: hides objects behind it. Shadows fall on it, so it hides none.
   void add_plane(const glm::dvec3& point, const glm::dvec3& normal);

@@ -12,6 +12,8 @@ int rounded_up(int pixels) {
   return (pixels + kStep - 1) / kStep * kStep;
 }
 
+constexpr GLenum kAttachments[] = {GL_COLOR_ATTACHMENT0, GL_COLOR_ATTACHMENT1};
+
 }  // namespace
 
 bool Canvas::fits(const Rect& rect) const {
@@ -36,7 +38,6 @@ void Canvas::attach_fine(Target& t) {
 }
 
 void Canvas::attach_pictures(Target& t) const {
-  constexpr GLenum kAttachments[] = {GL_COLOR_ATTACHMENT0, GL_COLOR_ATTACHMENT1};
   const std::size_t count = picture_count();
   for (std::size_t i = 0; i < count; ++i) {
     glBindTexture(GL_TEXTURE_2D, t.pictures[i].get());
@@ -89,31 +90,34 @@ Result<void> Canvas::begin(const Rect& rect, int frame_width, int frame_height) 
   return {};
 }
 
+// All of the drawing before the first read, which waits for it.
 void Canvas::finish(Layer& out) {
-  take_mean(0, out.rect, out.halves);
-  if (kind_ == CanvasKind::kWeighted) take_mean(1, out.rect, out.weights);
+  for (std::size_t i = 0; i < picture_count(); ++i) halve(i, out.rect);
+  read(0, out.rect, out.halves);
+  if (kind_ == CanvasKind::kWeighted) read(1, out.rect, out.weights);
 }
 
-void Canvas::take_mean(std::size_t picture, const Rect& rect,
-                       std::vector<std::uint16_t>& out) const {
+// A linear blit of exactly two to one reads between four samples: their mean.
+void Canvas::halve(std::size_t picture, const Rect& rect) const {
   const int w = rect.width(), h = rect.height();
   const std::array<GLenum, 2> only{picture == 0 ? GLenum{GL_COLOR_ATTACHMENT0} : GLenum{GL_NONE},
                                    GL_COLOR_ATTACHMENT1};
-  const auto attachment = static_cast<GLenum>(GL_COLOR_ATTACHMENT0 + picture);
   for (std::size_t i = 1; i < targets_.size(); ++i) {
-    // A linear blit of exactly two to one reads between four samples: their mean.
     const int from = targets_[i - 1].scale, to = targets_[i].scale;
     glBindFramebuffer(GL_READ_FRAMEBUFFER, targets_[i - 1].framebuffer.get());
-    glReadBuffer(attachment);
+    glReadBuffer(kAttachments[picture]);
     glBindFramebuffer(GL_DRAW_FRAMEBUFFER, targets_[i].framebuffer.get());
     glDrawBuffers(static_cast<GLsizei>(picture + 1), only.data());
     glBlitFramebuffer(0, 0, from * w, from * h, 0, 0, to * w, to * h, GL_COLOR_BUFFER_BIT,
                       from == to ? GL_NEAREST : GL_LINEAR);
   }
-  out.resize(static_cast<std::size_t>(w) * static_cast<std::size_t>(h) * 4);
+}
+
+void Canvas::read(std::size_t picture, const Rect& rect, std::vector<std::uint16_t>& out) const {
+  out.resize(static_cast<std::size_t>(rect.width()) * static_cast<std::size_t>(rect.height()) * 4);
   glBindFramebuffer(GL_READ_FRAMEBUFFER, targets_.back().framebuffer.get());
-  glReadBuffer(attachment);
-  glReadPixels(0, 0, w, h, GL_RGBA, GL_HALF_FLOAT, out.data());
+  glReadBuffer(kAttachments[picture]);
+  glReadPixels(0, 0, rect.width(), rect.height(), GL_RGBA, GL_HALF_FLOAT, out.data());
 }
 
 }  // namespace penumbra::compositor

@@ -75,7 +75,8 @@ class Canvas {
   std::size_t picture_count() const { return kind_ == CanvasKind::kWeighted ? 2 : 1; }
   void attach_pictures(Target& target) const;
   void attach_fine(Target& target);
-  void take_mean(std::size_t picture, const Rect& rect, std::vector<std::uint16_t>& out) const;
+  void halve(std::size_t picture, const Rect& rect) const;
+  void read(std::size_t picture, const Rect& rect, std::vector<std::uint16_t>& out) const;
   Result<void> make_targets();
 
   static constexpr GLsizei kSamples = 4;

@@ -148,7 +148,7 @@ layout(location = 0) out vec4 colour;
 layout(location = 1) out vec4 share;
 void main() {
   if (!is_shown()) discard;
-  colour = vec4(weight * loss * seen_past_foreground(), 1);
+  colour = vec4(clamp(weight * loss * seen_past_foreground(), -60000.0, 60000.0), 1);
   share = vec4(weight, 1);
 }
 )";

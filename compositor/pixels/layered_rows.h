@@ -110,17 +110,21 @@ inline void weigh_surfaces(const Layered& in, int y, RowBuffers& rows) {
   if (x0 >= x1) return;
   load_row(in.hidden, y, rows.hidden);
   const auto in_hidden = [&](int x) { return static_cast<std::size_t>(x - in.hidden.rect.x0) * 4; };
-  int first = x1, last = x0;  // of those that show something of a mesh
-  for (int x = x0; x < x1; ++x)
-    if (rows.hidden[in_hidden(x) + 3] > 0) first = std::min(first, x), last = x + 1;
-  if (first >= last) return;
+  bool any = false;
+  int first = x1, last = x0;  // of those that show a plane beside a mesh
+  for (int x = x0; x < x1; ++x) {
+    const float covered = rows.hidden[in_hidden(x) + 3];
+    any |= covered > 0;
+    if (covered > 0 && covered < 1) first = std::min(first, x), last = x + 1;
+  }
+  if (!any) return;
   load_halves(in.hidden.weights_row(y), rows.weights);
-  const auto width = static_cast<std::size_t>(last - first);
+  const std::size_t width = first < last ? static_cast<std::size_t>(last - first) : 0;
   const std::span left = std::span(rows.left).first(3 * width);
   std::ranges::fill(left, 1.f);
-  in.receivers.multiply_by_left(y, {first, y, last, y + 1}, left);
+  if (width > 0) in.receivers.multiply_by_left(y, {first, y, last, y + 1}, left);
   std::vector<float>* const ratios[] = {&rows.r, &rows.g, &rows.b};
-  for (int x = first; x < last; ++x) {
+  for (int x = x0; x < x1; ++x) {
     const float *const taken = &rows.hidden[in_hidden(x)], *const weight =
                                                                &rows.weights[in_hidden(x)];
     if (taken[3] <= 0) continue;
@@ -128,7 +132,9 @@ inline void weigh_surfaces(const Layered& in, int y, RowBuffers& rows) {
     for (std::size_t c = 0; c < 3; ++c) {
       float& s = (*ratios[c])[static_cast<std::size_t>(x - in.area.x0)];
       const float plane =
-          seen * std::max(left[c * width + static_cast<std::size_t>(x - first)], kMinPlaneWeight);
+          seen > 0 ? seen * std::max(left[c * width + static_cast<std::size_t>(x - first)],
+                                     kMinPlaneWeight)
+                   : 0;
       s = 1 + (plane * (s - 1) - taken[c]) / (plane + weight[c]);
     }
   }

@@ -135,7 +135,7 @@ Result<int> RayWorld::add(const Mesh& mesh) {
   // Not robust, a quarter faster: one ray in a million may slip through an edge, of sixteen that
   // are averaged.
   RTCScene scene = build_embree_scene(impl_->device, mesh, RTC_SCENE_FLAG_NONE);
-  if (!scene) return fail(ErrorCode::kUnavailable, "Embree", "cannot build the ray scene");
+  if (!scene) return fail(ErrorCode::kUnavailable, "Embree", "finds no memory for the ray scene");
   const glm::vec3 centre = bounds_of(mesh).centre();
   impl_->bodies.push_back(
       {scene, centre, radius_around(mesh, centre), {}, glm::mat3(1), {0, 0, 0}});

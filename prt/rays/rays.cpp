@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <array>
+#include <cstdlib>
 #include <glm/geometric.hpp>
 #include <glm/vec2.hpp>
 #include <limits>
@@ -26,7 +27,20 @@ RayScene::~RayScene() = default;
 RayScene::RayScene(RayScene&&) noexcept = default;
 RayScene& RayScene::operator=(RayScene&&) noexcept = default;
 
+namespace {
+
+// Where Embree 3.13 finds no memory half way it ends the program.
+bool has_room_for(const Mesh& mesh) {
+  constexpr std::size_t kAtOnce = std::size_t{64} << 20, kPerTriangle = 512;
+  void* volatile room = std::malloc(kAtOnce + kPerTriangle * mesh.triangles.size());
+  std::free(room);
+  return room != nullptr;
+}
+
+}  // namespace
+
 RTCScene build_embree_scene(RTCDevice device, const Mesh& mesh, RTCSceneFlags flags) {
+  if (!has_room_for(mesh)) return nullptr;
   RTCScene scene = rtcNewScene(device);
   rtcSetSceneFlags(scene, flags);
   rtcSetSceneBuildQuality(scene, RTC_BUILD_QUALITY_HIGH);
@@ -70,7 +84,8 @@ Result<RayScene> RayScene::build(const Mesh& mesh) {
   if (!impl->device) return fail(ErrorCode::kUnavailable, "Embree", "cannot create a device");
   // Robust: no ray slips through the shared edge of two triangles.
   impl->scene = build_embree_scene(impl->device, mesh, RTC_SCENE_FLAG_ROBUST);
-  if (!impl->scene) return fail(ErrorCode::kUnavailable, "Embree", "cannot build the ray scene");
+  if (!impl->scene)
+    return fail(ErrorCode::kUnavailable, "Embree", "finds no memory for the ray scene");
   return RayScene(std::move(impl));
 }
 

@@ -17,6 +17,22 @@
 
 namespace penumbra::runtime {
 
+std::vector<Rgb> weights_beside(const Rgb& plane_radiance, std::span<const Rgb> exit) {
+  constexpr float kRange = 100;
+  Rgb whole = plane_radiance;
+  if (!(luminance(plane_radiance) > 0)) {
+    whole = {};
+    for (const Rgb& radiance : exit) whole += radiance * (1 / static_cast<float>(exit.size()));
+  }
+  std::vector<Rgb> out(exit.size(), Rgb{1, 1, 1});
+  if (!(luminance(whole) > 0)) return out;
+  for (std::size_t i = 0; i < out.size(); ++i)
+    for (int c = 0; c < 3; ++c)
+      out[i][c] = std::clamp(exit[i][c] / std::max(whole[c], luminance(whole) / kRange), 1 / kRange,
+                             kRange);
+  return out;
+}
+
 RealSurfaceStage::RealSurfaceStage(const PreparedScene& scene) : scene_(&scene) {}
 
 bool RealSurfaceStage::measure(const lighting::LightEstimate& light, const DirectLightStage& lights,
@@ -86,17 +102,7 @@ std::vector<Rgb> RealSurfaceStage::ratios(const lighting::LightEstimate& light,
 }
 
 std::vector<Rgb> RealSurfaceStage::weights(const Rgb& plane_radiance) const {
-  constexpr float kRange = 1e3f;
-  Rgb mean;
-  for (const Rgb& radiance : exit_) mean += radiance * (1 / static_cast<float>(exit_.size()));
-  std::vector<Rgb> out(exit_.size(), Rgb{1, 1, 1});
-  for (int c = 0; c < 3; ++c) {
-    const float whole = plane_radiance[c] > 0 ? plane_radiance[c] : mean[c];
-    if (!(whole > 0)) continue;
-    for (std::size_t i = 0; i < out.size(); ++i)
-      out[i][c] = std::clamp(exit_[i][c] / whole, 1 / kRange, kRange);
-  }
-  return out;
+  return weights_beside(plane_radiance, exit_);
 }
 
 }  // namespace penumbra::runtime

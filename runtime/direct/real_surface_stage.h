@@ -14,6 +14,10 @@
 
 namespace penumbra::runtime {
 
+/// Exit radiance over that of a plane, 0.01..100. Black stands for a plane of which nobody knows
+/// it: then over the mean of all.
+std::vector<Rgb> weights_beside(const Rgb& plane_radiance, std::span<const Rgb> exit);
+
 class RealSurfaceStage {
  public:
   /// The scene must outlive the stage.
@@ -38,8 +42,7 @@ class RealSurfaceStage {
   /// send more than they take
   std::vector<Rgb> ratios(const lighting::LightEstimate& light, std::span<const Rgb> lost,
                           const LampStage& lamps) const;
-  /// Exit radiance of the vertices over that of a plane, which is 0 where nobody knows it: then
-  /// over the vertices' own mean. 1e-3..1e3.
+  /// What the vertices weigh beside the plane that they stand on.
   std::vector<Rgb> weights(const Rgb& plane_radiance) const;
 
  private:

@@ -60,16 +60,23 @@ compositor::Appearance appearance_of(const PreparedObject& o) {
 // shows on an object, by 0.1 %.
 constexpr double kPatternsError = 5e-4;
 
-// What the first plane sends where nothing shades it; 0 where its albedo is not known.
-Rgb radiance_of_plane(const PreparedScene& scene, std::span<const Rgb> open) {
-  if (scene.planes.empty()) return {};
-  return scene.planes[0].albedo * open[0] * static_cast<float>(1 / kPi);
+// What a plane sends where nothing shades it; 0 where its albedo is not known.
+Rgb radiance_of_plane(const PreparedScene& scene, std::size_t plane, std::span<const Rgb> open) {
+  return scene.planes[plane].albedo * open[plane] * static_cast<float>(1 / kPi);
 }
 
-// The same, if it is all that is real.
+// Of the only plane, if it is all that is real.
 Rgb radiance_of_floor(const PreparedScene& scene, std::span<const Rgb> open) {
   if (scene.planes.size() != 1 || !scene.real_mesh.triangles.empty()) return {};
-  return radiance_of_plane(scene, open);
+  return radiance_of_plane(scene, 0, open);
+}
+
+// Of the plane that the real mesh stands on, else of the first.
+Rgb radiance_below_mesh(const PreparedScene& scene, std::span<const Rgb> open) {
+  if (scene.planes.empty()) return {};
+  const Pose& pose = scene.real->world_from_bake;
+  const int below = plane_at(scene.planes, pose.translation, pose.rotation * glm::dvec3(0, 1, 0));
+  return radiance_of_plane(scene, below < 0 ? 0 : static_cast<std::size_t>(below), open);
 }
 
 }  // namespace
@@ -305,7 +312,7 @@ bool CompositeStage::shade(const lighting::LightEstimate& light, double seconds,
   shade_real_mesh(light, poses_, other_form);
   if (real_.any()) {
     compositor_->set_ratios(0, real_ratios_,
-                            real_.weights(radiance_of_plane(scene_, planes_.irradiance())));
+                            real_.weights(radiance_below_mesh(scene_, planes_.irradiance())));
     if (real_.shadow()) compositor_->set_real_shadow(*real_.shadow());
   }
   return true;

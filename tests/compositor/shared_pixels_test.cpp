@@ -94,5 +94,59 @@ TEST_F(SharedPixels, AWallAndTheFloorBehindItCountByTheirLight) {
   EXPECT_GT(mixed, 5);
 }
 
+// Behind the wall's edge real things leave half of the floor's light: it weighs half as much.
+TEST_F(SharedPixels, WhatRealThingsShadeOfTheFloorWeighsLess) {
+  const auto object = test::baked_sphere(true);
+  const auto light = test::sloped_light(1, {.9, .5, 0}, 3);
+  const int handle = test::add_lit(*compositor_, object, light);
+  const test::Lit l = test::lit(object, light);
+  compositor_->add_real_receiver(object.receiver->grid, {});
+  const int wall = compositor_->add_occluder(walls(1.2f, {{-9, -.24f}}));
+  // The object's ratio stays what it is: what it takes is as much less as real things leave.
+  const auto with_real_shadow = [&](float left) {
+    compositor_->set_light(handle, l.relit, l.shadow, {left, left, left});
+    shadows::PlanarShadow real = l.shadow;
+    std::ranges::fill(real.ratio.pixels(), Rgb{left, left, left});
+    real.x0 = real.y0 = 0, real.x1 = real.y1 = real.ratio.width();
+    compositor_->set_real_shadow(real);
+  };
+  const std::vector<Rgb> none(4, {1, 1, 1});
+  with_real_shadow(.5f);
+  compositor_->set_ratios(wall, none, std::vector<Rgb>(4, {.5f, .5f, .5f}));
+  const Image<Rgb> shaded = ratios();
+  with_real_shadow(1);
+  compositor_->set_ratios(wall, none, none);
+  const Image<Rgb> open = ratios();
+  compositor_->set_ratios(wall, none, std::vector<Rgb>(4, {.5f, .5f, .5f}));
+  const Image<Rgb> other = ratios();
+  int different = 0;
+  for (std::size_t i = 0; i < open.area(); ++i) {
+    const int x = static_cast<int>(i) % kSceneWidth, y = static_cast<int>(i) / kSceneWidth;
+    if (test::distance_to_ray(test::scene_camera(), x + .5, y + .5, {0, .4, 0}) < .43) continue;
+    EXPECT_NEAR(shaded.pixels()[i].g, open.pixels()[i].g, .01f) << x << ' ' << y;
+    different += std::abs(other.pixels()[i].g - open.pixels()[i].g) > .03f;
+  }
+  EXPECT_GT(different, 3);
+}
+
+// A lamp that is only in the picture adds light: more than 1.
+TEST_F(SharedPixels, AddedLightCountsByTheLightThatIsThere) {
+  const int both = compositor_->add_occluder(walls(-1, {{-9, .1f}, {.1f, 9}}));
+  std::vector<Rgb> ratio(4, {3, 3, 3}), weight(4, {.5f, .5f, .5f});
+  ratio.resize(8, {1, 1, 1}), weight.resize(8, {2, 2, 2});
+  compositor_->set_ratios(both, ratio, weight);
+  int mixed = 0;
+  for (const Rgb& s : ratios().pixels()) {
+    float nearest = 9;
+    for (int first = 0; first <= 4; ++first) {
+      const float a = .5f * static_cast<float>(first), b = 2.f * static_cast<float>(4 - first);
+      nearest = std::min(nearest, std::abs(s.g - (3 * a + b) / (a + b)));
+    }
+    EXPECT_LT(nearest, .02f) << s.g;
+    mixed += s.g > 1.1f && s.g < 2.9f;
+  }
+  EXPECT_GT(mixed, 20);
+}
+
 }  // namespace
 }  // namespace penumbra::compositor

@@ -440,6 +440,21 @@ class Render(CliTest):
         self.assertGreater(drawn, 0.05, "nothing drawn")
         self.assertLess(wrong, 0.3 * drawn)
 
+    def test_metal_mirrors_the_environment(self):
+        files.write_mirror(self.root / "mirror.gltf")
+        files.write_striped_hdr(self.root / "striped.hdr", 512, 256)
+        scene = (self.root / "scene.toml").read_text().replace("cube.obj", "mirror.gltf").replace("albedo = [0.6, 0.6, 0.6]", "")
+        (self.root / "mirror.toml").write_text(scene)
+        pictures = []
+        for name, *more in (("m.exr",), ("mt.exr", "--reference", "--error", 0.02), ("me.exr", "--without-objects")):
+            pictures.append(self.root / name)
+            self.run_json("render", "--scene", self.root / "mirror.toml", "--environment", self.root / "striped.hdr",
+                          "--camera", self.root / "camera.toml", "-o", pictures[-1], *more)
+        ours, truth, empty = pictures
+        drawn = self.run_json("compare", truth, empty)["rel_rmse"]
+        self.assertGreater(drawn, 0.1, "nothing drawn")
+        self.assertLess(self.run_json("compare", ours, truth)["rel_rmse"], 0.2 * drawn)
+
     def test_a_fisheyes_picture_is_that_of_the_world_through_it(self):
         text = (self.root / "camera.toml").read_text().replace("width = 64", "width = 192").replace("= 48", "= 144")
         for name, lens in (("pinhole", 'projection = "pinhole"\nfocal_px = [90, 90]'),

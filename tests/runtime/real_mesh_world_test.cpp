@@ -1,6 +1,7 @@
 #include "runtime/studio/internal/real_mesh_world.h"
 #include "capture/capture.h"
 #include "prt/prt.h"
+#include "runtime/direct/real_surface_stage.h"
 
 #include <gtest/gtest.h>
 
@@ -101,6 +102,21 @@ TEST(RealMeshWorld, NothingToStandThereIsRefused) {
   const auto world = RealMeshWorld::make(floor, {}, {});
   ASSERT_FALSE(world);
   EXPECT_EQ(world.error().code, ErrorCode::kInvalid);
+}
+
+// What vertices of a real mesh count for beside the floor, in a pixel that shows both.
+TEST(WeightsBeside, AreOfThePlaneOrOfTheMeanAndNeverOutOfRange) {
+  const std::vector<Rgb> exit = {{.4f, .2f, .1f}, {}, {1e9f, .2f, .1f}};
+  const auto beside = weights_beside({.2f, .2f, 0}, exit);
+  EXPECT_NEAR(beside[0].r, 2, 1e-5);
+  EXPECT_NEAR(beside[0].g, 1, 1e-5);
+  EXPECT_FLOAT_EQ(beside[1].g, .01f) << "black";
+  EXPECT_FLOAT_EQ(beside[2].r, 100) << "a lamp";
+  EXPECT_LE(beside[0].b, 100) << "a plane without blue";
+  const std::vector<Rgb> even(2, Rgb{.3f, .3f, .3f});
+  for (const Rgb& w : weights_beside({}, even))
+    for (int c = 0; c < 3; ++c) EXPECT_NEAR(w[c], 1, 1e-5) << "no plane is known";
+  for (const Rgb& w : weights_beside({}, std::vector<Rgb>(2))) EXPECT_EQ(w, (Rgb{1, 1, 1}));
 }
 
 }  // namespace

@@ -189,6 +189,21 @@ TEST_F(Vivid, AClockThatJumpsMovesNoFrame) {
     now.tv_sec += seconds;
     ASSERT_EQ(clock_settime(CLOCK_REALTIME, &now), 0) << "the guest's user is no root";
   };
+  struct ClockAtEnd {
+    timespec from_monotonic{};
+    ClockAtEnd() {
+      timespec now{}, since{};
+      clock_gettime(CLOCK_REALTIME, &now), clock_gettime(CLOCK_MONOTONIC, &since);
+      from_monotonic.tv_sec = now.tv_sec - since.tv_sec;
+    }
+    ~ClockAtEnd() {
+      timespec now{};
+      clock_gettime(CLOCK_MONOTONIC, &now);
+      now.tv_sec += from_monotonic.tv_sec;
+      (void)clock_settime(CLOCK_REALTIME, &now);
+    }
+  };
+  const ClockAtEnd restores;
   std::optional<TimestampNs> before;
   for (int i = 0; i < 24; ++i) {
     if (i == 8) turn_clock(3600);
@@ -204,7 +219,6 @@ TEST_F(Vivid, AClockThatJumpsMovesNoFrame) {
     }
     before = (*frame)->time;
   }
-  turn_clock(3600);
   EXPECT_EQ((*rig)->counts()[0].reconnected, 0u);
 }
 

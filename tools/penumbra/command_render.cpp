@@ -5,6 +5,7 @@
 
 #include "capture/recording/folder.h"
 #include "codec/codec.h"
+#include "core/environment.h"
 #include "core/io/files.h"
 #include "lighting/estimate.h"
 #include "lighting/light_estimate.h"
@@ -82,7 +83,11 @@ Result<void> render(const RenderOptions& o) {
     }
     auto real = render_real(in, o.error, progress_bar("real world"));
     if (!real || o.without_objects) return real;
-    PENUMBRA_ASSIGN(estimate, lighting::estimate_map(map, {bands, lights}));
+    lighting::LightEstimator estimator({bands, lights});
+    estimator.mirror(runtime::mirrored_roughness(prepared));
+    Environment whole;
+    whole.radiance = map;
+    PENUMBRA_ASSIGN(estimate, estimator.estimate(whole));
     used_lights = estimate.lights.size();
     return render_composite(in, estimate, *real);
   };

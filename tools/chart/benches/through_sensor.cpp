@@ -245,6 +245,7 @@ Result<SensorError> SensorBench::under_true_map(const World& world, double full_
                                                 const lighting::GovernorConfig& config) const {
   lighting::LightEstimator estimator({});
   estimator.set_governor(config);
+  estimator.mirror(runtime::mirrored_roughness(*given_));
   Environment environment;
   environment.radiance = *world.environment;
   PENUMBRA_ASSIGN(light, estimator.estimate(environment));
