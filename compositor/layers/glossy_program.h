@@ -237,20 +237,20 @@ vec3 above_floor(vec3 around, vec3 towards, float place, float alpha) {
 #endif
 #ifdef LONG_LOBE
 // Facets that lean towards the viewer, or away, by some angle turn what is mirrored by twice that,
-// those that lean aside by n.v of it: two lobes of .6 of the width in the plane of incidence stand
-// for them.
+// those that lean aside by n.v of it: three lobes of .6 of the width in the plane of incidence, .7
+// of the width apart, stand for them. (Of one as long as wide the density is 44 % off, of two 19 %,
+// of these 11 %.)
 vec3 along_lobe(vec3 n, vec3 v, float n_dot_v, float alpha, float place, vec3 otherwise) {
-  // The width that the narrow lobes lack, at a quarter and three quarters of a lobe.
-  float lean = 0.577 * sqrt(1.0 - NARROW_LOBE * NARROW_LOBE * NARROW_LOBE * NARROW_LOBE);
   vec3 t = normalize(v - n * n_dot_v), sum = vec3(0);
   float weights = 0.0, a2 = alpha * alpha;
-  for (float side = -1.0; side < 2.0; side += 2.0) {
-    vec3 h = normalize(n + side * lean * alpha * t);
+  for (float side = -1.0; side < 2.0; side += 1.0) {
+    vec3 h = normalize(n + side * 0.7 * alpha * t);
     float v_dot_h = dot(v, h);
     vec3 l = 2.0 * v_dot_h * h - v;
     float n_dot_l = dot(n, l);
     if (v_dot_h <= 0.0 || n_dot_l <= 0.0) continue;
-    float weight = visibility(a2, n_dot_l, n_dot_v) * n_dot_l * v_dot_h / dot(n, h);
+    float weight = (side == 0.0 ? 0.56 : 0.22) * visibility(a2, n_dot_l, n_dot_v) * n_dot_l *
+                   v_dot_h / dot(n, h);
     sum += weight * on_level(octahedral(l), int(place + 0.5));
     weights += weight;
   }
@@ -324,8 +324,8 @@ void main() {
   float alpha = max(rough * rough, 1e-3);
   vec3 around = surroundings_towards(r, at_level);
 #ifdef LONG_LOBE
-  float slant = 1.0 - smoothstep(0.55, 0.9, n_dot_v);
-  if (slant > 0.0)
+  float slant = clamp((1.0 - n_dot_v) / 0.4, 0.0, 1.0) * (1.0 - alpha);  // .6 as wide as long
+  if (slant > 0.05)
     around = mix(around, along_lobe(n, v, n_dot_v, alpha, at_long_level, around), slant);
 #endif
 #ifdef FLOOR

@@ -186,18 +186,18 @@ TEST_P(GlossyGroundTruth, ObjectFollowsTheWorldThatItMirrors) {
 // A little above what they come to; the goal is .06. What is missing, by terms that are switched
 // off in the reference, for gold:
 // - A knot mirrors itself: 82 % off if it did not. What is mirrored twice is 31 %.
-// - Seen slantwise a lobe is longer than wide, by more than two lobes in a row are: most of what a
-//   studio's lamps are off by.
+// - Seen slantwise a lobe is longer than wide, by more than three lobes in a row are: most of what
+//   a studio's lamps are off by.
 // - What a metal sends to the floor is mirrored, not scattered: a box before a window.
 const GlossyCase kGlossyCases[] = {
     {"ball",
      "room",
-     {{"gold", .065, .04},
+     {{"gold", .05, .04},
       {"chrome", .02, .04},
-      {"brushed", .1, .035},
+      {"brushed", .09, .035},
       {"plastic", .02, .035},
       {"rubber", .03, .035},
-      {"tiles", .1, .035}}},
+      {"tiles", .085, .035}}},
     {"knot",
      "room",
      {{"gold", .4, .04},
@@ -207,7 +207,7 @@ const GlossyCase kGlossyCases[] = {
       {"rubber", .042, .035},
       {"tiles", .46, .035}}},
     {"box", "room", {{"gold", .075, .13}, {"plastic", .03, .04}}},
-    {"ball", "studio_small_03", {{"gold", .6, .04}, {"plastic", .1, .03}}},
+    {"ball", "studio_small_03", {{"gold", .33, .04}, {"plastic", .075, .03}}},
     {"ball", "venice_sunset", {{"gold", .035, .04}, {"plastic", .07, .03}}},
 };
 INSTANTIATE_TEST_SUITE_P(Worlds, GlossyGroundTruth, testing::ValuesIn(kGlossyCases),

@@ -443,8 +443,8 @@ class Render(CliTest):
     def test_metal_mirrors_the_environment(self):
         files.write_mirror(self.root / "mirror.gltf")
         files.write_striped_hdr(self.root / "striped.hdr", 512, 256)
-        scene = (self.root / "scene.toml").read_text().replace("cube.obj", "mirror.gltf").replace("albedo = [0.6, 0.6, 0.6]", "")
-        (self.root / "mirror.toml").write_text(scene)
+        scene = (self.root / "scene.toml").read_text().replace("albedo = [0.6, 0.6, 0.6]", "")
+        (self.root / "mirror.toml").write_text(scene.replace("cube.obj", "mirror.gltf"))
         pictures = []
         for name, *more in (("m.exr",), ("mt.exr", "--reference", "--error", 0.02), ("me.exr", "--without-objects")):
             pictures.append(self.root / name)
