@@ -29,7 +29,8 @@ RayScene& RayScene::operator=(RayScene&&) noexcept = default;
 
 namespace {
 
-// Where Embree 3.13 finds no memory half way it ends the program.
+// Where Embree 3.13 finds no memory half way it ends the program: so much more than it takes is
+// asked for, and given back.
 bool has_room_for(const Mesh& mesh) {
   constexpr std::size_t kAtOnce = std::size_t{64} << 20, kPerTriangle = 512;
   void* volatile room = std::malloc(kAtOnce + kPerTriangle * mesh.triangles.size());

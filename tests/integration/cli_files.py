@@ -84,26 +84,27 @@ def write_sun_hdr(path, width, height, sun):
 
 
 def write_striped_hdr(path, width, height):
-    """A sky of stripes by height, 0.125 and 2, over a ground of 0.5, as flat RGBE."""
-    codes = {.125: (128, 126), .5: (128, 128), 2: (128, 130)}
-    rows = [.5 if 2 * y >= height else 2 if y % 32 < 16 else .125 for y in range(height)]
+    """A sky of stripes by height, 0.125 and 2, over a ground of 8, as flat RGBE."""
+    codes = {.125: (128, 126), 8: (128, 132), 2: (128, 130)}
+    rows = [8 if 2 * y >= height else 2 if y % 32 < 16 else .125 for y in range(height)]
     pixels = b"".join(bytes([codes[v][0]] * 3 + [codes[v][1]]) * width for v in rows)
     head = f"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y {height} +X {width}\n".encode()
     Path(path).write_bytes(head + pixels)
 
 
 def write_mirror(path):
-    """A square of polished metal that lies flat, 60 cm a side, as glTF."""
-    corners = struct.pack("<12f", -.3, .01, -.3, -.3, .01, .3, .3, .01, .3, .3, .01, -.3)
-    data = base64.b64encode(corners + struct.pack("<6H", 0, 1, 2, 0, 2, 3)).decode()
+    """Two squares of polished metal: one that lies flat, one beside it that stands, as glTF."""
+    corners = struct.pack("<24f", -.3, .01, -.3, -.3, .01, .3, .3, .01, .3, .3, .01, -.3,
+                          .4, .01, -.3, .9, .01, -.3, .9, .5, -.3, .4, .5, -.3)
+    data = base64.b64encode(corners + struct.pack("<12H", 0, 1, 2, 0, 2, 3, 4, 5, 6, 4, 6, 7)).decode()
     metal = {"name": "mirror", "pbrMetallicRoughness": {"baseColorFactor": [.9, .9, .9, 1], "roughnessFactor": 0.05}}
     Path(path).write_text(json.dumps({
         "asset": {"version": "2.0"}, "scenes": [{"nodes": [0]}], "nodes": [{"mesh": 0}], "materials": [metal],
         "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1, "material": 0}]}],
-        "accessors": [{"bufferView": 0, "componentType": 5126, "type": "VEC3", "count": 4},
-                      {"bufferView": 1, "componentType": 5123, "type": "SCALAR", "count": 6}],
-        "bufferViews": [{"buffer": 0, "byteLength": 48}, {"buffer": 0, "byteOffset": 48, "byteLength": 12}],
-        "buffers": [{"byteLength": 60, "uri": f"data:application/octet-stream;base64,{data}"}]}))
+        "accessors": [{"bufferView": 0, "componentType": 5126, "type": "VEC3", "count": 8},
+                      {"bufferView": 1, "componentType": 5123, "type": "SCALAR", "count": 12}],
+        "bufferViews": [{"buffer": 0, "byteLength": 96}, {"buffer": 0, "byteOffset": 96, "byteLength": 24}],
+        "buffers": [{"byteLength": 120, "uri": f"data:application/octet-stream;base64,{data}"}]}))
 
 
 CUBE = """v -0.2 0 -0.2

@@ -73,5 +73,24 @@ TEST(Still, EdgesKnowFinerFractionsThanOnePassHas) {
   EXPECT_GT(finer, edges / 2);
 }
 
+TEST(Still, AMirrorSeesTheHighestLevelPlaneBelow) {
+  const Image<Rgb> map(64, 32, {2, 2, 2});
+  const auto at = [](double height, const glm::dvec3& normal, const Rgb& albedo) {
+    return prt::Plane{{0, height, 0}, normal, albedo, {}};
+  };
+  const glm::dvec3 up(0, 1, 0);
+  EXPECT_EQ(with_floor_below(map, {}), map);
+  EXPECT_EQ(with_floor_below(map, {at(0, up, {})}), map) << "of unknown albedo";
+  EXPECT_EQ(with_floor_below(map, {at(0, {0, 0, 1}, {.5f, .5f, .5f})}), map) << "a wall";
+  const Image<Rgb> seen =
+      with_floor_below(map, {at(0, up, {.1f, .1f, .1f}), at(.75, up, {.5f, .25f, .125f}),
+                             at(.9, up, {}), at(2, {0, 0, 1}, {.9f, .9f, .9f})});
+  for (int x = 0; x < 64; ++x) {
+    EXPECT_EQ(seen.at(x, 15), (Rgb{2, 2, 2}));
+    EXPECT_NEAR(seen.at(x, 16).r, 1, .01) << "half of even light";
+    EXPECT_NEAR(seen.at(x, 31).b, .25, .01);
+  }
+}
+
 }  // namespace
 }  // namespace penumbra::tools

@@ -190,17 +190,17 @@ TEST_F(Vivid, AClockThatJumpsMovesNoFrame) {
     ASSERT_EQ(clock_settime(CLOCK_REALTIME, &now), 0) << "the guest's user is no root";
   };
   struct ClockAtEnd {
-    timespec from_monotonic{};
-    ClockAtEnd() {
-      timespec now{}, since{};
-      clock_gettime(CLOCK_REALTIME, &now), clock_gettime(CLOCK_MONOTONIC, &since);
-      from_monotonic.tv_sec = now.tv_sec - since.tv_sec;
-    }
-    ~ClockAtEnd() {
+    static std::int64_t now_ns(clockid_t clock) {
       timespec now{};
-      clock_gettime(CLOCK_MONOTONIC, &now);
-      now.tv_sec += from_monotonic.tv_sec;
-      (void)clock_settime(CLOCK_REALTIME, &now);
+      clock_gettime(clock, &now);
+      return std::int64_t{now.tv_sec} * 1'000'000'000 + now.tv_nsec;
+    }
+    std::int64_t apart_ns = now_ns(CLOCK_REALTIME) - now_ns(CLOCK_MONOTONIC);
+    ~ClockAtEnd() {
+      const std::int64_t ns = now_ns(CLOCK_MONOTONIC) + apart_ns;
+      const timespec right{static_cast<std::time_t>(ns / 1'000'000'000),
+                           static_cast<long>(ns % 1'000'000'000)};
+      (void)clock_settime(CLOCK_REALTIME, &right);
     }
   };
   const ClockAtEnd restores;

@@ -1,18 +1,14 @@
 #include <fmt/format.h>
 #include <CLI/CLI.hpp>
 
-#include <algorithm>
 #include <filesystem>
 
 #include "capture/recording/folder.h"
 #include "codec/codec.h"
-#include "core/conventions.h"
 #include "core/environment.h"
 #include "core/io/files.h"
 #include "lighting/estimate.h"
 #include "lighting/light_estimate.h"
-#include "lighting/sh/irradiance.h"
-#include "runtime/direct/scene_light.h"
 #include "runtime/pipeline/light_file.h"
 #include "runtime/pipeline/report.h"
 #include "runtime/scene/scene.h"
@@ -47,24 +43,6 @@ Result<void> read_view(const std::string& path, StillScene& out) {
   out.view = {p.width, p.height, p.focal_px, p.principal_px, camera.world_from_camera};
   if (p.kind != calib::ProjectionKind::kPinhole || p.is_distorted()) out.lens = p;
   return {};
-}
-
-// A map of elsewhere shows another ground than the scene's floor, which a mirror shows.
-Result<Environment> above_floor(const Image<Rgb>& map, const runtime::PreparedScene& scene) {
-  Environment out;
-  out.radiance = map;
-  const auto floor = std::ranges::find_if(scene.planes, [](const prt::Plane& p) {
-    return p.normal.y > runtime::kLevel && luminance(p.albedo) > 0;
-  });
-  if (floor == scene.planes.end()) return out;
-  PENUMBRA_ASSIGN(light, lighting::estimate_map(map, {}));
-  const IrradianceSh irradiance =
-      lighting::irradiance(lighting::whole_upper_hemisphere_light(light));
-  const Rgb radiance =
-      floor->albedo * lighting::evaluate(irradiance, floor->normal) * static_cast<float>(1 / kPi);
-  for (int y = map.height() / 2; y < map.height(); ++y)
-    std::ranges::fill(out.radiance.row(y), radiance);
-  return out;
 }
 
 }  // namespace
@@ -105,9 +83,11 @@ Result<void> render(const RenderOptions& o) {
     }
     auto real = render_real(in, o.error, progress_bar("real world"));
     if (!real || o.without_objects) return real;
-    PENUMBRA_ASSIGN(around, above_floor(map, prepared));
+    const lighting::SurfaceRoughness mirrored = runtime::mirrored_roughness(prepared);
     lighting::LightEstimator estimator({bands, lights});
-    estimator.mirror(runtime::mirrored_roughness(prepared));
+    estimator.mirror(mirrored);
+    Environment around;
+    around.radiance = mirrored.empty() ? map : with_floor_below(map, prepared.planes);
     PENUMBRA_ASSIGN(estimate, estimator.estimate(around));
     used_lights = estimate.lights.size();
     return render_composite(in, estimate, *real);

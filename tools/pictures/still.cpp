@@ -92,6 +92,20 @@ Result<Still> render_real(const StillScene& in, double error, const Progress& pr
   return out;
 }
 
+Image<Rgb> with_floor_below(Image<Rgb> map, const std::vector<prt::Plane>& planes) {
+  const prt::Plane* floor = nullptr;
+  for (const prt::Plane& p : planes)
+    if (p.normal.y > runtime::kLevel && luminance(p.albedo) > 0 &&
+        (!floor || p.point.y > floor->point.y))
+      floor = &p;
+  if (!floor) return map;
+  const Rgb radiance =
+      floor->albedo * exact_irradiance(map, floor->normal) * static_cast<float>(1 / kPi);
+  for (int y = (map.height() + 1) / 2; y < map.height(); ++y)
+    std::ranges::fill(map.row(y), radiance);
+  return map;
+}
+
 Result<Pipeline> make_still_pipeline(const runtime::PreparedScene& scene,
                                      const prt::PinholeView& view,
                                      const runtime::ShadowSampling& sampling,

@@ -39,6 +39,10 @@ using Progress = std::function<void(double)>;
 /// Of an unshadowed plane, from every pixel of the map.
 Rgb exact_irradiance(const Image<Rgb>& map, const glm::dvec3& normal);
 
+/// A map whose lower half is what the highest level plane of known albedo sends in the open: what
+/// mirrors show of a map of elsewhere. As it is without such a plane.
+Image<Rgb> with_floor_below(Image<Rgb> map, const std::vector<prt::Plane>& planes);
+
 /// The world without virtual objects: environment and planes in closed form (irradiance exact from
 /// every pixel), path traced when there are real meshes or several planes.
 Result<Still> render_real(const StillScene& in, double error, const Progress& progress);
