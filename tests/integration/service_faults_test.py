@@ -122,6 +122,12 @@ class OwnDaemons(CliTest):
         self.wait_for(daemon, "never ok", lambda: daemon.health()["status"] in ("ok", "slow"))
         return time.monotonic() - begun
 
+    def wait_until_prepared(self, daemon):
+        """Its first scene, coarse and then fine, between which nothing is prepared for a moment."""
+        quiet = []
+        self.wait_for(daemon, "never baked", lambda: quiet.append("preparing" not in daemon.health()) or
+                      (len(quiet) > 15 and all(quiet[-15:])))
+
     def connected(self, daemon):
         return socket.create_connection(("127.0.0.1", daemon.port), timeout=10)
 
@@ -248,7 +254,7 @@ class Faults(OwnDaemons):
         if PATIENCE > 1:
             self.skipTest("sanitizers take address space by the terabyte")
         daemon = self.started()
-        self.wait_for(daemon, "never baked", lambda: "preparing" not in daemon.health())
+        self.wait_until_prepared(daemon)
         with open(f"/proc/{daemon.process.pid}/status", encoding="utf-8") as status:
             size = 1024 * int(re.search(r"VmSize:\s+(\d+)", status.read()).group(1))
         usual, most = resource.prlimit(daemon.process.pid, resource.RLIMIT_AS)
@@ -348,7 +354,7 @@ class Soak(OwnDaemons):
 
     def test_nothing_grows_and_no_light_drifts(self):
         daemon = self.started()
-        self.wait_for(daemon, "never baked", lambda: "preparing" not in daemon.health())
+        self.wait_until_prepared(daemon)
         first, light = None, self.irradiance(daemon)
         drift = 0
         while (frames := daemon.health()["frames"]) < self.FRAMES:
