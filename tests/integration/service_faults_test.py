@@ -214,7 +214,7 @@ class Faults(OwnDaemons):
         return subprocess.run([program().replace("penumbrad", "penumbra"), "inspect", str(file), "--json"],
                               env=self.environment, capture_output=True, text=True, check=False)
 
-    def test_killed_at_any_moment_it_leaves_what_can_be_read_and_comes_back(self):
+    def test_killed_at_any_moment(self):
         generator = random.Random(11)
         times = int(os.environ.get("PENUMBRA_KILLS", "4"))
         lost_s = []
