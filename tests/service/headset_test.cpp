@@ -135,6 +135,7 @@ TEST_F(HeadsetOutput, TheNewestPictureWins) {
 
 TEST_F(HeadsetOutput, HostileValuesAreRefusedOnceInWords) {
   PENUMBRA_START();
+  ASSERT_TRUE(runs()) << "what it says until then is of the loader";
   std::mutex mutex;
   std::vector<std::string> lines;
   set_log_sink([&](LogLevel level, std::string_view line) {
