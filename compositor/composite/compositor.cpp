@@ -199,10 +199,14 @@ int Compositor::add_occluder(const prt::Mesh& mesh) {
   return impl_->layers->add_occluder(mesh);
 }
 
-void Compositor::set_ratios(int occluder, std::span<const Rgb> ratios,
-                            std::span<const Rgb> weights) {
+void Compositor::set_ratios(int occluder, std::span<const Rgb> ratios) {
   impl_->context->make_current();
-  impl_->layers->set_ratios(occluder, ratios, weights);
+  impl_->layers->set_ratios(occluder, ratios);
+}
+
+void Compositor::set_weights(int occluder, std::span<const Rgb> weights) {
+  impl_->context->make_current();
+  impl_->layers->set_weights(occluder, weights);
 }
 
 Result<void> Compositor::Impl::check(const View& view, const FramePixels& frame) const {

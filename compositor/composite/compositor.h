@@ -88,6 +88,7 @@ class Compositor {
   ///   add_plane          a plane: hides objects; a shadow is seen where its plane is the nearest
   ///   add_occluder       a mesh, or a depth picture made one: hides objects and shadows
   ///   set_ratios         shadows of virtual things on such a mesh
+  ///   set_weights        how bright it is beside other real things
   ///   add_real_receiver  with set_real_shadow: shadows of real things on a plane, in the residual
   ///   set_shadow_maps    shadows of virtual and of real things on planes, in each distant light
 
@@ -102,9 +103,10 @@ class Compositor {
   /// The number names it for set_ratios.
   int add_occluder(const prt::Mesh& world_mesh);
   /// What virtual things leave of the light at the vertices of real geometry; 1 after add_occluder.
-  /// weights: the radiance that leaves them without virtual things, over that of an open plane,
-  /// 1e-3..1e3: what a pixel shows of several surfaces counts by its light. 1 after add_occluder.
-  void set_ratios(int occluder, std::span<const Rgb> ratios, std::span<const Rgb> weights);
+  void set_ratios(int occluder, std::span<const Rgb> ratios);
+  /// The radiance that leaves these vertices without virtual things, over that of an open plane,
+  /// 1e-3..1e3; 1 after add_occluder. What a pixel shows of several surfaces counts by its light.
+  void set_weights(int occluder, std::span<const Rgb> weights);
   /// A real plane: hides objects behind it. Shadows fall on it, so it hides none.
   void add_plane(const glm::dvec3& point, const glm::dvec3& normal);
 

@@ -309,17 +309,24 @@ int Layers::add_occluder(const prt::Mesh& mesh) {
   return static_cast<int>(occluders_.size()) - 1;
 }
 
-void Layers::set_ratios(int occluder, std::span<const Rgb> ratios, std::span<const Rgb> weights) {
+void Layers::upload_by_vertex(std::size_t occluder, const GlBuffer& buffer,
+                              std::vector<Rgb> values) {
+  occluder_meshes_[occluder].drawn_vertices.extend(values);
+  glBindBuffer(GL_ARRAY_BUFFER, buffer.get());
+  glBufferSubData(GL_ARRAY_BUFFER, 0, bytes_of(values), values.data());
+  drawn_.reset();
+}
+
+void Layers::set_weights(int occluder, std::span<const Rgb> weights) {
   const auto index = static_cast<std::size_t>(occluder);
-  const auto upload_to = [&](const GlBuffer& buffer, std::vector<Rgb> values) {
-    occluder_meshes_[index].drawn_vertices.extend(values);
-    glBindBuffer(GL_ARRAY_BUFFER, buffer.get());
-    glBufferSubData(GL_ARRAY_BUFFER, 0, bytes_of(values), values.data());
-  };
+  upload_by_vertex(index, occluders_[index].weights, {weights.begin(), weights.end()});
+}
+
+void Layers::set_ratios(int occluder, std::span<const Rgb> ratios) {
+  const auto index = static_cast<std::size_t>(occluder);
   std::vector<Rgb> deficits;
   for (const Rgb& s : ratios) deficits.push_back({1 - s.r, 1 - s.g, 1 - s.b});
-  upload_to(occluders_[index].deficits, std::move(deficits));
-  upload_to(occluders_[index].weights, {weights.begin(), weights.end()});
+  upload_by_vertex(index, occluders_[index].deficits, std::move(deficits));
   OccluderMesh& mesh = occluder_meshes_[index];
   const Rgb open{1, 1, 1};
   std::optional<prt::Bounds> shaded;
@@ -332,7 +339,6 @@ void Layers::set_ratios(int occluder, std::span<const Rgb> ratios, std::span<con
     }
   }
   mesh.shaded = shaded;
-  drawn_.reset();
 }
 
 void Layers::add_plane(const glm::dvec3& point, const glm::dvec3& normal) {

@@ -45,8 +45,10 @@ class Layers {
   /// As Glossy::set_floor. in: an object that mirrors, with a receiver
   void set_floor(int object, const Image<Rgb>& ratios);
   int add_occluder(const prt::Mesh& mesh);
-  /// Shadow ratios at the vertices of real geometry, and what they weigh beside an open plane.
-  void set_ratios(int occluder, std::span<const Rgb> ratios, std::span<const Rgb> weights);
+  /// Shadow ratios at the vertices of real geometry.
+  void set_ratios(int occluder, std::span<const Rgb> ratios);
+  /// What these vertices weigh beside an open plane.
+  void set_weights(int occluder, std::span<const Rgb> weights);
   void add_plane(const glm::dvec3& point, const glm::dvec3& normal);
 
   bool has_occluders() const { return !occluders_.empty(); }
@@ -152,6 +154,7 @@ class Layers {
   static void fill_light_map(LightMap& map, std::span<const float> relit, std::size_t stride,
                              const std::vector<Rgb>& albedo);
   static Occluder upload(const prt::Mesh& mesh);
+  void upload_by_vertex(std::size_t occluder, const GlBuffer& buffer, std::vector<Rgb> values);
   void draw_objects(const View& view, const ViewProjection& from_world, const Rect& region,
                     bool seen_alone);
   void bind_pictures(const DrawnObject& object, GLuint program) const;

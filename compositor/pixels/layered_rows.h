@@ -108,8 +108,13 @@ inline void weigh_surfaces(const Layered& in, int y, RowBuffers& rows) {
   const int x0 = std::max(in.hidden.rect.x0, in.area.x0),
             x1 = std::min(in.hidden.rect.x1, in.area.x1);
   if (x0 >= x1) return;
-  load_row(in.hidden, y, rows.hidden);
-  const auto in_hidden = [&](int x) { return static_cast<std::size_t>(x - in.hidden.rect.x0) * 4; };
+  const auto load = [&](std::span<const std::uint16_t> row, std::vector<float>& out) {
+    load_halves(row.subspan(static_cast<std::size_t>(x0 - in.hidden.rect.x0) * 4,
+                            static_cast<std::size_t>(x1 - x0) * 4),
+                out);
+  };
+  load(in.hidden.row(y), rows.hidden);
+  const auto in_hidden = [&](int x) { return static_cast<std::size_t>(x - x0) * 4; };
   bool any = false;
   int first = x1, last = x0;  // of those that show a plane beside a mesh
   for (int x = x0; x < x1; ++x) {
@@ -118,7 +123,7 @@ inline void weigh_surfaces(const Layered& in, int y, RowBuffers& rows) {
     if (covered > 0 && covered < 1) first = std::min(first, x), last = x + 1;
   }
   if (!any) return;
-  load_halves(in.hidden.weights_row(y), rows.weights);
+  load(in.hidden.weights_row(y), rows.weights);
   const std::size_t width = first < last ? static_cast<std::size_t>(last - first) : 0;
   const std::span left = std::span(rows.left).first(3 * width);
   std::ranges::fill(left, 1.f);

@@ -101,8 +101,4 @@ std::vector<Rgb> RealSurfaceStage::ratios(const lighting::LightEstimate& light,
   return out;
 }
 
-std::vector<Rgb> RealSurfaceStage::weights(const Rgb& plane_radiance) const {
-  return weights_beside(plane_radiance, exit_);
-}
-
 }  // namespace penumbra::runtime

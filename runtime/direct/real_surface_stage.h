@@ -42,8 +42,6 @@ class RealSurfaceStage {
   /// send more than they take
   std::vector<Rgb> ratios(const lighting::LightEstimate& light, std::span<const Rgb> lost,
                           const LampStage& lamps) const;
-  /// What the vertices weigh beside the plane that they stand on.
-  std::vector<Rgb> weights(const Rgb& plane_radiance) const;
 
  private:
   void relight(const lighting::LightEstimate& light);

@@ -311,8 +311,10 @@ bool CompositeStage::shade(const lighting::LightEstimate& light, double seconds,
   compositor_->set_shadow_maps(on_planes_);
   shade_real_mesh(light, poses_, other_form);
   if (real_.any()) {
-    compositor_->set_ratios(0, real_ratios_,
-                            real_.weights(radiance_below_mesh(scene_, planes_.irradiance())));
+    compositor_->set_ratios(0, real_ratios_);
+    if (measured)
+      compositor_->set_weights(
+          0, weights_beside(radiance_below_mesh(scene_, planes_.irradiance()), real_.exit()));
     if (real_.shadow()) compositor_->set_real_shadow(*real_.shadow());
   }
   return true;

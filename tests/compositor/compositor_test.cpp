@@ -384,14 +384,9 @@ TEST_F(CompositorTest, CoincidentObjectsMultiplyTheirRatiosAndStayInTheBounds) {
 
 // ------------------------------------------------------------------------------------- occluders
 
-/// A vertical wall at z, from x0 on to the right, that faces the camera.
+/// From x0 on to the right.
 prt::Mesh wall(float z, float x0) {
-  prt::Mesh m;
-  m.positions = {{x0, -5, z}, {9, -5, z}, {9, 5, z}, {x0, 5, z}};
-  m.normals.assign(4, {0, 0, 1});
-  m.albedo.assign(4, {.5f, .5f, .5f});
-  m.triangles = {{0, 1, 2}, {0, 2, 3}};
-  return m;
+  return test::walls(z, {{x0, 9}});
 }
 
 /// Equal but for the last digit: a pixel that nothing hides is multiplied by 1 - 0.

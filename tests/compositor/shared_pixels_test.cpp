@@ -13,21 +13,6 @@ namespace {
 
 using test::kSceneHeight, test::kSceneWidth;
 
-/// Vertical rectangles beside each other at z, that face the camera, with corners of their own.
-prt::Mesh walls(float z, std::initializer_list<std::pair<float, float>> sides) {
-  prt::Mesh m;
-  for (const auto& [left, right] : sides) {
-    const auto first = static_cast<std::uint32_t>(m.positions.size());
-    m.positions.insert(m.positions.end(),
-                       {{left, -5, z}, {right, -5, z}, {right, 5, z}, {left, 5, z}});
-    m.triangles.push_back({first, first + 1, first + 2});
-    m.triangles.push_back({first, first + 2, first + 3});
-  }
-  m.normals.assign(m.positions.size(), {0, 0, 1});
-  m.albedo.assign(m.positions.size(), {.5f, .5f, .5f});
-  return m;
-}
-
 class SharedPixels : public test::OffscreenCompositor {
  protected:
   /// What is left of a frame of 1.
@@ -41,11 +26,12 @@ class SharedPixels : public test::OffscreenCompositor {
 };
 
 TEST_F(SharedPixels, TwoWallsCountByTheirLight) {
-  const int both = compositor_->add_occluder(walls(-1, {{-9, .1f}, {.1f, 9}}));
+  const int both = compositor_->add_occluder(test::walls(-1, {{-9, .1f}, {.1f, 9}}));
   const Rgb bright{4, 2, .25f}, dark{.25f, 2, 4};  // what they send
   std::vector<Rgb> ratio(4, {.2f, .2f, .2f}), weight(4, bright);
   ratio.resize(8, {1, 1, 1}), weight.resize(8, dark);
-  compositor_->set_ratios(both, ratio, weight);
+  compositor_->set_ratios(both, ratio);
+  compositor_->set_weights(both, weight);
   const Image<Rgb> seen = ratios();
   int mixed = 0;
   for (const Rgb& s : seen.pixels()) {
@@ -69,12 +55,12 @@ TEST_F(SharedPixels, TwoWallsCountByTheirLight) {
 // The floor's shadow beside the edge of a wall that nothing shades.
 TEST_F(SharedPixels, AWallAndTheFloorBehindItCountByTheirLight) {
   test::add_lit(*compositor_, test::baked_sphere(true), test::sloped_light(1, {.9, .5, 0}, 3));
-  compositor_->add_occluder(walls(30, {{-9, 9}}));  // behind the camera: edges as with real things
+  compositor_->add_occluder(
+      test::walls(30, {{-9, 9}}));  // behind the camera: edges as with real things
   const Image<Rgb> open = ratios();
-  const int wall = compositor_->add_occluder(walls(1.2f, {{-9, -.24f}}));
-  const std::vector<Rgb> none(4, {1, 1, 1});
+  const int wall = compositor_->add_occluder(test::walls(1.2f, {{-9, -.24f}}));
   const auto with_weight = [&](float w) {
-    compositor_->set_ratios(wall, none, std::vector<Rgb>(4, {w, w, w}));
+    compositor_->set_weights(wall, std::vector<Rgb>(4, {w, w, w}));
     return ratios();
   };
   const Image<Rgb> dim = with_weight(1e-3f), same = with_weight(1), bright = with_weight(1e3f);
@@ -101,7 +87,7 @@ TEST_F(SharedPixels, WhatRealThingsShadeOfTheFloorWeighsLess) {
   const int handle = test::add_lit(*compositor_, object, light);
   const test::Lit l = test::lit(object, light);
   compositor_->add_real_receiver(object.receiver->grid, {});
-  const int wall = compositor_->add_occluder(walls(1.2f, {{-9, -.24f}}));
+  const int wall = compositor_->add_occluder(test::walls(1.2f, {{-9, -.24f}}));
   // The object's ratio stays what it is: what it takes is as much less as real things leave.
   const auto with_real_shadow = [&](float left) {
     compositor_->set_light(handle, l.relit, l.shadow, {left, left, left});
@@ -110,14 +96,13 @@ TEST_F(SharedPixels, WhatRealThingsShadeOfTheFloorWeighsLess) {
     real.x0 = real.y0 = 0, real.x1 = real.y1 = real.ratio.width();
     compositor_->set_real_shadow(real);
   };
-  const std::vector<Rgb> none(4, {1, 1, 1});
   with_real_shadow(.5f);
-  compositor_->set_ratios(wall, none, std::vector<Rgb>(4, {.5f, .5f, .5f}));
+  compositor_->set_weights(wall, std::vector<Rgb>(4, {.5f, .5f, .5f}));
   const Image<Rgb> shaded = ratios();
   with_real_shadow(1);
-  compositor_->set_ratios(wall, none, none);
+  compositor_->set_weights(wall, std::vector<Rgb>(4, {1, 1, 1}));
   const Image<Rgb> open = ratios();
-  compositor_->set_ratios(wall, none, std::vector<Rgb>(4, {.5f, .5f, .5f}));
+  compositor_->set_weights(wall, std::vector<Rgb>(4, {.5f, .5f, .5f}));
   const Image<Rgb> other = ratios();
   int different = 0;
   for (std::size_t i = 0; i < open.area(); ++i) {
@@ -131,10 +116,11 @@ TEST_F(SharedPixels, WhatRealThingsShadeOfTheFloorWeighsLess) {
 
 // A lamp that is only in the picture adds light: more than 1.
 TEST_F(SharedPixels, AddedLightCountsByTheLightThatIsThere) {
-  const int both = compositor_->add_occluder(walls(-1, {{-9, .1f}, {.1f, 9}}));
+  const int both = compositor_->add_occluder(test::walls(-1, {{-9, .1f}, {.1f, 9}}));
   std::vector<Rgb> ratio(4, {3, 3, 3}), weight(4, {.5f, .5f, .5f});
   ratio.resize(8, {1, 1, 1}), weight.resize(8, {2, 2, 2});
-  compositor_->set_ratios(both, ratio, weight);
+  compositor_->set_ratios(both, ratio);
+  compositor_->set_weights(both, weight);
   int mixed = 0;
   for (const Rgb& s : ratios().pixels()) {
     float nearest = 9;

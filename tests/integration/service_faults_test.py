@@ -303,8 +303,10 @@ class Faults(OwnDaemons):
 
     def test_two_do_not_share_what_only_one_can_have(self):
         first = self.started()
+        begun = time.monotonic()
         second = self.start()
         self.assertEqual(second.process.wait(timeout=60 * PATIENCE), 2)
+        print(f"two daemons: the second is refused after {time.monotonic() - begun:.1f} s")
         self.assertRegex(second.said(), r"http\.sock.*another service")
         # What was not asked for may be missing.
         runtime = self.root / "runtime"

@@ -5,8 +5,10 @@
 
 #include <algorithm>
 #include <glm/gtc/quaternion.hpp>
+#include <initializer_list>
 #include <optional>
 #include <random>
+#include <utility>
 #include <vector>
 
 #include "compositor/composite/compositor.h"
@@ -65,6 +67,21 @@ inline int add_lit(compositor::Compositor& c, const prt::BakedObject& object,
   const Lit l = lit(object, light);
   c.set_light(handle, l.relit, l.shadow);
   return handle;
+}
+
+/// Vertical rectangles beside each other at z, that face the camera, with corners of their own.
+inline prt::Mesh walls(float z, std::initializer_list<std::pair<float, float>> sides) {
+  prt::Mesh m;
+  for (const auto& [left, right] : sides) {
+    const auto first = static_cast<std::uint32_t>(m.positions.size());
+    m.positions.insert(m.positions.end(),
+                       {{left, -5, z}, {right, -5, z}, {right, 5, z}, {left, 5, z}});
+    m.triangles.push_back({first, first + 1, first + 2});
+    m.triangles.push_back({first, first + 2, first + 3});
+  }
+  m.normals.assign(m.positions.size(), {0, 0, 1});
+  m.albedo.assign(m.positions.size(), {.5f, .5f, .5f});
+  return m;
 }
 
 /// Unit direction through a continuous pixel, world frame.
