@@ -10,6 +10,7 @@
 #include "prt/clip/sequence.h"                // IWYU pragma: export
 #include "prt/geometry/animation.h"           // IWYU pragma: export
 #include "prt/geometry/ground_grid.h"         // IWYU pragma: export
+#include "prt/geometry/luminous.h"            // IWYU pragma: export
 #include "prt/geometry/mesh.h"                // IWYU pragma: export
 #include "prt/geometry/pinhole_view.h"        // IWYU pragma: export
 #include "prt/geometry/plane.h"               // IWYU pragma: export

@@ -7,7 +7,7 @@
 #include <glm/vec3.hpp>
 
 #include "core/image.h"
-#include "prt/reference/local_material.h"
+#include "prt/geometry/local_material.h"
 
 #pragma GCC visibility push(default)
 namespace penumbra::prt {

@@ -1,5 +1,5 @@
-// The light of a scene's virtual lamps on objects, planes and real meshes; traced when something
-// moved.
+// The light of a scene's virtual lamps and luminous objects on objects, planes and real meshes;
+// traced when something moved.
 // threads: thread-bound, parallel inside
 #pragma once
 
@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "compositor/composite/compositor.h"
+#include "prt/geometry/luminous.h"
 #include "runtime/scene/scene.h"
 #include "shadows/silhouette/occluders.h"
 #include "shadows/silhouette/shadow_map.h"
@@ -16,11 +17,14 @@ namespace penumbra::runtime {
 class LampStage {
  public:
   /// The scene must outlive the stage.
-  explicit LampStage(const PreparedScene& scene) : scene_(&scene), traced_(scene.lamps.size()) {}
+  explicit LampStage(const PreparedScene& scene);
 
   bool any() const { return !traced_.empty(); }
-  /// True when anything was traced: at first, and when an object has moved or taken another form.
-  bool update(const shadows::RayOccluders& occluders, std::span<const Pose> poses, bool other_form);
+  /// emission_unit: radiance that an emission of 1 has
+  /// True when anything changed: at first, when an object has moved or taken another form, and with
+  /// another unit where something is luminous.
+  bool update(const shadows::RayOccluders& occluders, std::span<const Pose> poses, bool other_form,
+              float emission_unit);
 
   /// Adds to exit radiance for a unit albedo, in prt::relight's layout.
   void add_light(std::size_t object, std::span<float> relit) const;
@@ -32,14 +36,24 @@ class LampStage {
               std::vector<compositor::ShadowMapOnPlane>& out) const;
 
  private:
+  // A lamp, or a luminous part of an object.
   struct TracedLamp {
-    std::vector<std::vector<float>> on_object;  // by vertex
-    std::vector<shadows::ShadowMap> on_plane;
-    std::vector<float> brightest;  // by plane
+    const shadows::Lamp* lamp;
+    std::size_t object;  // that it is a part of
+    const prt::LuminousPart* part;
+    std::vector<std::vector<float>> on_object{};  // by vertex
+    std::vector<shadows::ShadowMap> on_plane{};
+    std::vector<float> brightest{};  // by plane
+    std::vector<float> on_real{};    // by vertex
   };
+  Rgb power(const TracedLamp& t) const;
+  void trace(const shadows::RayOccluders& occluders, TracedLamp& t) const;
+  void sum_on_real_mesh();
+
   const PreparedScene* scene_;
   std::vector<Pose> poses_;
-  bool known_ = false;
+  bool known_ = false, luminous_ = false;
+  float emission_unit_ = 0;
   std::vector<TracedLamp> traced_;
   std::vector<Rgb> on_real_mesh_;
 };

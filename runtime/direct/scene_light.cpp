@@ -35,4 +35,9 @@ Rgb open_irradiance(const lighting::LightEstimate& light, const glm::dvec3& norm
   return sum;
 }
 
+float emission_unit(const lighting::LightEstimate& light) {
+  const Rgb up = lighting::evaluate(lighting::irradiance(lighting::whole_light(light)), {0, 1, 0});
+  return std::max(0.f, luminance(up)) * static_cast<float>(1 / kPi);
+}
+
 }  // namespace penumbra::runtime

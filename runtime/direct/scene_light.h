@@ -36,5 +36,7 @@ RadianceSh reflected_in_bake_frame(const RadianceSh& sum, bool level, const Pose
                                    int bands = prt::kReflectedBands);
 /// Irradiance of an open plane of this orientation, lights included.
 Rgb open_irradiance(const lighting::LightEstimate& light, const glm::dvec3& normal);
+/// Radiance that a material's emission of 1 has: of white paper that lies in the light.
+float emission_unit(const lighting::LightEstimate& light);
 
 }  // namespace penumbra::runtime

@@ -307,6 +307,14 @@ Result<LoadedAsset> load_asset(const std::string& asset, Rgb albedo, float edge_
 
 namespace {
 
+void find_luminous(PreparedObject& object) {
+  constexpr int kPoints = 64;
+  if (object.baked.surface)
+    object.luminous = prt::luminous_parts(object.baked.mesh, *object.baked.surface, kPoints);
+  if (object.luminous.empty())
+    log_warning("{}: emission_lights: nothing of it emits light", object.name);
+}
+
 // Shadows on real meshes live at their vertices.
 void prepare_receivers(PreparedScene& scene) {
   constexpr float kReceiverEdge = .08f;  // of the smallest object's radius
@@ -375,6 +383,7 @@ Result<PreparedScene> prepare(
     PENUMBRA_ASSIGN(prepared, prepare_object(object, out, object.coarse ? coarse : settings, bakes,
                                              progress("bake " + object.name)));
     prepared.visible = object.visible;
+    if (object.emission_lights) find_luminous(prepared);
     prepared.instance = object.instance;
     out.objects.push_back(std::move(prepared));
   }

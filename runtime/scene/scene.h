@@ -20,6 +20,7 @@
 #include "prt/clip/live_bake.h"
 #include "prt/clip/sequence.h"
 #include "prt/geometry/animation.h"
+#include "prt/geometry/luminous.h"
 #include "prt/geometry/material.h"
 #include "prt/geometry/mesh.h"
 #include "prt/geometry/plane.h"
@@ -49,9 +50,10 @@ struct SceneObject : Placement {
   double transfer_ms = 5;  // a frame, for that
   std::array<int, 2> light_map{0, 0};  // width, height of one, texels; 0: transfer at vertices
   Rgb albedo{.7f, .7f, .7f};
-  double spin_rpm = 0;   // turntable about the receiver's normal
-  int max_vertices = 0;  // lit; 0: as BakeSettings has it
-  bool visible = true;   // from the start
+  double spin_rpm = 0;           // turntable about the receiver's normal
+  int max_vertices = 0;          // lit; 0: as BakeSettings has it
+  bool visible = true;           // from the start
+  bool emission_lights = false;  // what its materials emit lights floor, real meshes and objects
   // Not of files: baked as BakeSettings::coarse(), and which one of that name it is
   bool coarse = false;
   unsigned instance = 0;
@@ -152,7 +154,8 @@ struct PreparedObject {
   std::shared_ptr<LiveTransfer> live{};  // of one that plays; null: made by begin_live
   std::vector<glm::mat3> turns{};        // of its bones then
   bool visible = true;                   // from the start
-  unsigned instance = 0;                 // which one of that name, see SceneObject
+  std::vector<prt::LuminousPart> luminous{};  // what of it lights its surroundings
+  unsigned instance = 0;                      // which one of that name, see SceneObject
 
   /// Placement at a time: the turntable turns about the bake frame's y.
   Pose pose_at(double seconds) const;

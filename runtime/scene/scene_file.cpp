@@ -10,9 +10,9 @@ namespace fs = std::filesystem;
 namespace {
 
 constexpr std::string_view kObjectKeys[] = {
-    "name",     "asset",        "albedo",      "position",    "rotation",  "scale",
-    "spin_rpm", "visible",      "animation",   "transfer",    "light_map", "fit_size_m",
-    "blend",    "blend_weight", "transfer_ms", "max_vertices"};
+    "name",     "asset",        "albedo",      "position",     "rotation",       "scale",
+    "spin_rpm", "visible",      "animation",   "transfer",     "light_map",      "fit_size_m",
+    "blend",    "blend_weight", "transfer_ms", "max_vertices", "emission_lights"};
 constexpr std::string_view kPlacementKeys[] = {"position", "rotation", "scale", "fit_size_m"};
 constexpr std::string_view kRealKeys[] = {"plane",    "mesh",     "depth", "camera",    "albedo",
                                           "position", "rotation", "scale", "fit_size_m"};
@@ -132,6 +132,10 @@ Result<SceneObject> read_object(const TomlKeys& keys, const fs::path& folder) {
   if (keys.has("visible")) {
     PENUMBRA_ASSIGN(visible, keys.flag("visible"));
     o.visible = visible;
+  }
+  if (keys.has("emission_lights")) {
+    PENUMBRA_ASSIGN(lights, keys.flag("emission_lights"));
+    o.emission_lights = lights;
   }
   if (keys.has("animation")) {
     PENUMBRA_ASSIGN(animation, keys.text("animation"));
@@ -326,6 +330,7 @@ Result<void> write_scene(const fs::path& path, const Scene& scene) {
     if (o.spin_rpm != 0) text += fmt::format("spin_rpm = {}\n", o.spin_rpm);
     if (o.max_vertices != 0) text += fmt::format("max_vertices = {}\n", o.max_vertices);
     if (!o.visible) text += "visible = false\n";
+    if (o.emission_lights) text += "emission_lights = true\n";
   }
   for (const RealGeometry& r : scene.real) {
     text += "\n[[real]]\n";

@@ -292,7 +292,7 @@ bool CompositeStage::shade(const lighting::LightEstimate& light, double seconds,
   }
   if (lamps_.any()) {
     const StageTimer timer(times_, "lamps");
-    lamps_changed = lamps_.update(lights_.occluders(), poses_, other_form);
+    lamps_changed = lamps_.update(lights_.occluders(), poses_, other_form, emission_unit(light));
     lights_changed |= lamps_changed;
   }
   bool measured = false;

@@ -3,9 +3,8 @@
 #include <algorithm>
 #include <cstddef>
 
-#include "core/conventions.h"
 #include "lighting/estimate.h"
-#include "lighting/sh/irradiance.h"
+#include "runtime/direct/scene_light.h"
 
 namespace penumbra::runtime {
 
@@ -32,8 +31,7 @@ compositor::Surroundings MirroredSurroundings::surroundings_of(
     out.lights.push_back({source.direction, source.radius.value(), source.irradiance()});
   }
   out.light = lighting::whole_light(light);
-  const Rgb up = lighting::evaluate(lighting::irradiance(out.light), {0, 1, 0});
-  out.emission_unit = std::max(0.f, luminance(up)) * static_cast<float>(1 / kPi);
+  out.emission_unit = emission_unit(light);
   return out;
 }
 

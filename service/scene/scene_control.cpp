@@ -73,8 +73,9 @@ Result<void> read_key(const std::string& key, const json& value, ObjectChange& o
   return {};
 }
 
-constexpr std::string_view kNewKeys[] = {"name",   "asset",    "position_m", "turn_deg",
-                                         "size_m", "spin_rpm", "albedo",     "animation"};
+constexpr std::string_view kNewKeys[] = {"name",     "asset",     "position_m",
+                                         "turn_deg", "size_m",    "spin_rpm",
+                                         "albedo",   "animation", "emission_lights"};
 
 Result<std::string> text(const json& value, const std::string& key) {
   constexpr std::size_t kLongest = 63;  // as the light's page has room for
@@ -115,6 +116,9 @@ Result<void> read_key(const std::string& key, const json& value, runtime::SceneO
   } else if (key == "spin_rpm") {
     PENUMBRA_ASSIGN(n, within(value, key, -600, 600));
     out.spin_rpm = n;
+  } else if (key == "emission_lights") {
+    if (!value.is_boolean()) return fail(ErrorCode::kInvalid, key, "is neither true nor false");
+    out.emission_lights = value.get<bool>();
   } else {
     return unknown(key, kNewKeys);
   }
@@ -234,7 +238,8 @@ bool is_another_bake(const runtime::SceneObject& a, const runtime::SceneObject& 
   return a.asset != b.asset || a.animation != b.animation || a.transfer != b.transfer ||
          a.blend != b.blend || a.live != b.live || !(a.albedo == b.albedo) || a.scale != b.scale ||
          a.place_on_floor != b.place_on_floor || a.fit_size_m != b.fit_size_m ||
-         a.spin_rpm != b.spin_rpm || a.max_vertices != b.max_vertices || a.light_map != b.light_map;
+         a.spin_rpm != b.spin_rpm || a.max_vertices != b.max_vertices ||
+         a.light_map != b.light_map || a.emission_lights != b.emission_lights;
 }
 
 bool have_same_lamps(const runtime::Scene& a, const runtime::Scene& b) {

@@ -20,6 +20,7 @@ namespace {
 constexpr int kMapNodes = 129;
 constexpr double kReach = 5;  // lamp heights
 constexpr float kFade = .2f;  // of the half extent
+constexpr std::size_t kStrideAtVertices = 4;
 
 // Points of the lamp's face as a surface point sees it: a light across the line of visibility.
 class LampFace {
@@ -60,11 +61,40 @@ class LampFace {
   std::array<glm::vec2, kMaxSamples> offsets_{};
 };
 
+// The points of a luminous surface; each receiver asks every `stride`-th of them.
+class EmitterFace {
+ public:
+  EmitterFace(const Emitter& emitter, float near, std::size_t stride)
+      : emitter_(emitter), near_(near), stride_(std::min(stride, emitter.positions.size())) {}
+
+  template <class Answer>
+  void add(Packets<Answer>& packets, std::size_t index, const glm::vec3& from,
+           const glm::vec3& normal) const {
+    const std::size_t points = emitter_.positions.size(), first = index % stride_,
+                      asked = (points - first + stride_ - 1) / stride_;
+    for (std::size_t k = first; k < points; k += stride_) {
+      const glm::vec3 way = emitter_.positions[k] - from;
+      const float length = std::max(glm::length(way), 1e-6f);
+      const glm::vec3 d = way / length;
+      const float cosine = glm::dot(normal, d), along = -glm::dot(emitter_.normals[k], d),
+                  sent = emitter_.double_sided ? std::abs(along) : along;
+      const float far = length - 2 * near_;  // short of the surface itself
+      if (cosine <= 0 || sent <= 0 || far <= 0) continue;
+      const float apart = length * length + emitter_.point_m2 / static_cast<float>(kPi);
+      packets.add(index, cosine * sent / (apart * static_cast<float>(asked)), from, d, far);
+    }
+  }
+
+ private:
+  const Emitter& emitter_;
+  float near_;
+  std::size_t stride_;
+};
+
 // at(i) gives position and normal of point i.
-template <class At>
-void trace(const RayOccluders& occluders, std::size_t count, const Lamp& lamp, int samples, At at,
+template <class Face, class At>
+void trace(const RayOccluders& occluders, std::size_t count, const Face& face, At at,
            std::span<float> out) {
-  const LampFace face(lamp, samples);
   std::ranges::fill(out.first(count), 0.f);
   parallel_for(std::size_t{0}, count, 512, [&](const auto& part) {
     Packets packets(occluders, [&](std::size_t i, float weight, bool by_virtual, bool by_real) {
@@ -79,45 +109,42 @@ void trace(const RayOccluders& occluders, std::size_t count, const Lamp& lamp, i
 
 using Point = std::pair<glm::vec3, glm::vec3>;
 
-}  // namespace
-
-void trace_lamp_points(const RayOccluders& occluders, std::span<const glm::vec3> positions,
-                       std::span<const glm::vec3> normals, const Lamp& lamp, int samples,
-                       std::span<float> out) {
+template <class Face>
+void trace_points(const RayOccluders& occluders, std::span<const glm::vec3> positions,
+                  std::span<const glm::vec3> normals, const Face& face, std::span<float> out) {
   trace(
-      occluders, positions.size(), lamp, samples,
+      occluders, positions.size(), face,
       [&](std::size_t i) { return Point(positions[i], normals[i]); }, out);
 }
 
-void trace_lamp_light(const RayOccluders& occluders, const prt::Mesh& mesh,
-                      const Pose& world_from_mesh, const Lamp& lamp, int samples,
-                      std::span<float> out) {
+template <class Face>
+void trace_vertices(const RayOccluders& occluders, const prt::Mesh& mesh,
+                    const Pose& world_from_mesh, const Face& face, std::span<float> out) {
   const glm::mat3 turn(world_from_mesh.rotation_matrix());
   const glm::vec3 shift(world_from_mesh.translation);
   trace(
-      occluders, mesh.positions.size(), lamp, samples,
+      occluders, mesh.positions.size(), face,
       [&](std::size_t i) {
         return Point(turn * mesh.positions[i] + shift, turn * mesh.normals[i]);
       },
       out);
 }
 
-float trace_lamp_map(const RayOccluders& occluders, const prt::Plane& plane, const Lamp& lamp,
-                     int samples, ShadowMap& out) {
-  out.virtual_occlusion.reset(0, 0);
-  out.real_occlusion.reset(0, 0);
-  const double height = glm::dot(lamp.position - plane.point, plane.normal);
-  if (!(height > lamp.radius_m)) return 0;
+// The square below `centre` that reaches `half` metres; faded to 0 at its rim, and 0..1.
+template <class Face>
+float trace_map(const RayOccluders& occluders, const prt::Plane& plane, const glm::dvec3& centre,
+                double half, const Face& face, ShadowMap& out) {
+  const double height = glm::dot(centre - plane.point, plane.normal);
   const glm::dquat frame = glm::rotation(glm::dvec3(0, 1, 0), plane.normal);
-  const double half = kReach * height, cell = 2 * half / (kMapNodes - 1);
+  const double cell = 2 * half / (kMapNodes - 1);
   out.cell_m = static_cast<float>(cell);
   out.world_from_map =
-      Pose{frame, lamp.position - height * plane.normal} * Pose{{1, 0, 0, 0}, {-half, 0, -half}};
+      Pose{frame, centre - height * plane.normal} * Pose{{1, 0, 0, 0}, {-half, 0, -half}};
   out.virtual_occlusion.reset(kMapNodes, kMapNodes);
   const glm::vec3 normal(plane.normal), origin(out.world_from_map.translation),
       x = glm::vec3(frame * glm::dvec3(cell, 0, 0)), z = glm::vec3(frame * glm::dvec3(0, 0, cell));
   trace(
-      occluders, out.virtual_occlusion.area(), lamp, samples,
+      occluders, out.virtual_occlusion.area(), face,
       [&](std::size_t i) {
         return Point(
             origin + static_cast<float>(i % kMapNodes) * x + static_cast<float>(i / kMapNodes) * z,
@@ -138,6 +165,72 @@ float trace_lamp_map(const RayOccluders& occluders, const prt::Plane& plane, con
       out.virtual_occlusion.at(i, j) *= t * t * (3 - 2 * t) / largest;
     }
   return largest;
+}
+
+void clear(ShadowMap& map) {
+  map.virtual_occlusion.reset(0, 0);
+  map.real_occlusion.reset(0, 0);
+}
+
+// Of a surface's points: their middle, and how far up the highest lies.
+struct EmitterPlace {
+  glm::dvec3 centre{0};
+  double top = 0, radius = 0;  // metres; above the plane, about the centre
+};
+EmitterPlace place_of(const Emitter& emitter, const prt::Plane& plane) {
+  EmitterPlace out;
+  const auto count = static_cast<double>(emitter.positions.size());
+  for (const glm::vec3& p : emitter.positions) {
+    out.centre += glm::dvec3(p) / count;
+    out.top = std::max(out.top, glm::dot(glm::dvec3(p) - plane.point, plane.normal));
+  }
+  for (const glm::vec3& p : emitter.positions)
+    out.radius = std::max(out.radius, glm::distance(glm::dvec3(p), out.centre));
+  return out;
+}
+
+}  // namespace
+
+void trace_lamp_points(const RayOccluders& occluders, std::span<const glm::vec3> positions,
+                       std::span<const glm::vec3> normals, const Lamp& lamp, int samples,
+                       std::span<float> out) {
+  trace_points(occluders, positions, normals, LampFace(lamp, samples), out);
+}
+
+void trace_lamp_light(const RayOccluders& occluders, const prt::Mesh& mesh,
+                      const Pose& world_from_mesh, const Lamp& lamp, int samples,
+                      std::span<float> out) {
+  trace_vertices(occluders, mesh, world_from_mesh, LampFace(lamp, samples), out);
+}
+
+float trace_lamp_map(const RayOccluders& occluders, const prt::Plane& plane, const Lamp& lamp,
+                     int samples, ShadowMap& out) {
+  clear(out);
+  const double height = glm::dot(lamp.position - plane.point, plane.normal);
+  if (!(height > lamp.radius_m)) return 0;
+  return trace_map(occluders, plane, lamp.position, kReach * height, LampFace(lamp, samples), out);
+}
+
+void trace_emitter_points(const RayOccluders& occluders, std::span<const glm::vec3> positions,
+                          std::span<const glm::vec3> normals, const Emitter& emitter,
+                          std::span<float> out) {
+  trace_points(occluders, positions, normals, EmitterFace(emitter, occluders.near_m, 1), out);
+}
+
+void trace_emitter_light(const RayOccluders& occluders, const prt::Mesh& mesh,
+                         const Pose& world_from_mesh, const Emitter& emitter,
+                         std::span<float> out) {
+  trace_vertices(occluders, mesh, world_from_mesh,
+                 EmitterFace(emitter, occluders.near_m, kStrideAtVertices), out);
+}
+
+float trace_emitter_map(const RayOccluders& occluders, const prt::Plane& plane,
+                        const Emitter& emitter, ShadowMap& out) {
+  clear(out);
+  const EmitterPlace place = place_of(emitter, plane);
+  if (!(place.top > 0)) return 0;
+  return trace_map(occluders, plane, place.centre, kReach * place.top + place.radius,
+                   EmitterFace(emitter, occluders.near_m, 1), out);
 }
 
 }  // namespace penumbra::shadows

@@ -54,6 +54,7 @@ SceneObject placed_object() {
   o.spin_rpm = -12.5;
   o.max_vertices = 5000;
   o.visible = false;
+  o.emission_lights = true;
   return o;
 }
 
@@ -76,6 +77,7 @@ void expect_same(const SceneObject& a, const SceneObject& b) {
   EXPECT_EQ(a.spin_rpm, b.spin_rpm);
   EXPECT_EQ(a.max_vertices, b.max_vertices);
   EXPECT_EQ(a.visible, b.visible);
+  EXPECT_EQ(a.emission_lights, b.emission_lights);
 }
 
 TEST_F(SceneFile, WhatIsWrittenIsRead) {
@@ -180,6 +182,7 @@ TEST_F(SceneFile, BadValuesAreNamedWithFileAndLine) {
                                    {"spin_rpm = inf", "spin_rpm"},
                                    {"name = 3", "name"},
                                    {"visible = 1", "visible"},
+                                   {"emission_lights = 8", "emission_lights"},
                                    {"animation = 1", "animation"}})
     expect_invalid(head + line + "\n", 4, word);
   expect_invalid(head + "scale = 2\nfit_size_m = 1\n", 5, "fit_size_m");

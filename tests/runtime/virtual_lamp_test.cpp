@@ -9,6 +9,8 @@
 #include "core/conventions.h"
 #include "lighting/lighting.h"
 #include "prt/prt.h"
+#include "tests/support/gltf_assets.h"
+#include "tests/support/temp_folder.h"
 #include "tests/support/worlds.h"
 #include "tools/chart/measures/accuracy.h"
 #include "tools/pictures/still.h"
@@ -78,6 +80,18 @@ TEST(VirtualLamp, LightsTheFloorByItsShareOfTheRealLightAndCastsShadows) {
   EXPECT_GT(with->radiance.at(lid.x, lid.y).r, without->radiance.at(lid.x, lid.y).r + .2f);
 }
 
+// Of luminance, over the truth's mean.
+double relative_rms(const Still& a, const Still& truth, const std::vector<bool>& where) {
+  double square = 0, mean = 0;
+  for (std::size_t i = 0; i < where.size(); ++i) {
+    if (!where[i]) continue;
+    const double d = luminance(a.radiance.pixels()[i]) - luminance(truth.radiance.pixels()[i]);
+    square += d * d, mean += luminance(truth.radiance.pixels()[i]);
+  }
+  const auto count = static_cast<double>(std::ranges::count(where, true));
+  return std::sqrt(square / count) / (mean / count);
+}
+
 // A world in which the lamp really hangs beside the object, low over a dim floor so that it is most
 // of the light.
 TEST(VirtualLamp, CompositeFollowsTheWorldWithTheLampInIt) {
@@ -101,23 +115,56 @@ TEST(VirtualLamp, CompositeFollowsTheWorldWithTheLampInIt) {
   const auto ours = render_composite(in, *light, *empty),
              naive = render_composite({&*unlit, &map, view}, *light, *empty);
   ASSERT_TRUE(ours && naive);
-  const auto rms = [&](const Still& a, const std::vector<bool>& where) {
-    double square = 0, mean = 0;
-    for (std::size_t i = 0; i < where.size(); ++i) {
-      if (!where[i]) continue;
-      const double d = luminance(a.radiance.pixels()[i]) - luminance(truth->radiance.pixels()[i]);
-      square += d * d, mean += luminance(truth->radiance.pixels()[i]);
-    }
-    const auto count = static_cast<double>(std::ranges::count(where, true));
-    return std::sqrt(square / count) / (mean / count);
-  };
   std::printf("lamp: floor %.3f (without %.3f), object %.2f %% (without %.2f %%)\n",
-              rms(*ours, masks->floor), rms(*naive, masks->floor), 100 * rms(*ours, masks->object),
-              100 * rms(*naive, masks->object));
-  EXPECT_LT(rms(*ours, masks->floor), .03);
-  EXPECT_GT(rms(*naive, masks->floor), .2);
-  EXPECT_LT(rms(*ours, masks->object), .05);
-  EXPECT_GT(rms(*naive, masks->object), .2);
+              relative_rms(*ours, *truth, masks->floor), relative_rms(*naive, *truth, masks->floor),
+              100 * relative_rms(*ours, *truth, masks->object),
+              100 * relative_rms(*naive, *truth, masks->object));
+  EXPECT_LT(relative_rms(*ours, *truth, masks->floor), .03);
+  EXPECT_GT(relative_rms(*naive, *truth, masks->floor), .2);
+  EXPECT_LT(relative_rms(*ours, *truth, masks->object), .05);
+  EXPECT_GT(relative_rms(*naive, *truth, masks->object), .2);
+}
+
+// A sign that shines, with the light that it throws on the floor and on what stands beside it.
+TEST(VirtualLamp, CompositeFollowsTheWorldWithALuminousObjectInIt) {
+  const test::TempFolder folder;
+  const auto file = folder.path() / "sign.glb";
+  test::emissive_sign().write_glb(file);
+  Scene world{{test::twist({.5, 0, -.25})}, {test::grey_plane()}};
+  SceneObject sign;
+  sign.name = "sign";
+  sign.asset = file.string();
+  sign.place_on_floor = true;
+  world.objects.push_back(sign);
+  const auto without = test::prepared(world),
+             beside = test::prepared({{world.objects[0]}, world.real});
+  world.objects.back().emission_lights = true;
+  const auto scene = test::prepared(world);
+  ASSERT_TRUE(without && beside && scene);
+  EXPECT_TRUE(without->objects.back().luminous.empty());
+  ASSERT_EQ(scene->objects.back().luminous.size(), 1u);
+  const Image<Rgb> map = capture::make_room_environment(256, 128);
+  const prt::PinholeView view{
+      128, 96, {120, 120}, {64, 48}, capture::look_at({.3, 1.1, 1.4}, {.1, .1, .15})};
+  const StillScene in{&*scene, &map, view};
+  const auto masks = make_masks(*scene, view), of_twist = make_masks(*beside, view);
+  if (!masks && masks.error().code == ErrorCode::kUnavailable)
+    GTEST_SKIP() << "no OpenGL ES 3.1 here: " << masks.error().detail;
+  const auto empty = render_real(in, .01, {}),
+             truth = render_reference(in, true, .006, std::nullopt, {});
+  const auto light = lighting::estimate_map(map, {});
+  ASSERT_TRUE(masks && of_twist && empty && truth && light);
+  const auto ours = render_composite(in, *light, *empty),
+             naive = render_composite({&*without, &map, view}, *light, *empty);
+  ASSERT_TRUE(ours && naive);
+  std::printf("sign: floor %.3f (without %.3f), the twist beside it %.2f %% (without %.2f %%)\n",
+              relative_rms(*ours, *truth, masks->floor), relative_rms(*naive, *truth, masks->floor),
+              100 * relative_rms(*ours, *truth, of_twist->object),
+              100 * relative_rms(*naive, *truth, of_twist->object));
+  EXPECT_LT(relative_rms(*ours, *truth, masks->floor), .015);
+  EXPECT_GT(relative_rms(*naive, *truth, masks->floor), .03);
+  EXPECT_LT(relative_rms(*ours, *truth, of_twist->object), .04);
+  EXPECT_GT(relative_rms(*naive, *truth, of_twist->object), .05);
 }
 
 // A lamp among real things and nothing virtual that could cast a shadow: no light comes from the

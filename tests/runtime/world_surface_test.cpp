@@ -6,7 +6,7 @@
 #include <memory>
 
 #include "core/conventions.h"
-#include "prt/reference/local_material.h"
+#include "prt/geometry/local_material.h"
 #include "runtime/scene/scene.h"
 
 namespace penumbra::runtime {

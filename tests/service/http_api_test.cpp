@@ -386,6 +386,7 @@ TEST(HttpApi, ANewObjectPlaceIsInTheNextFrame) {
   EXPECT_EQ(add(R"({"name": "other", "asset": "https://x.example/a.glb"})"), 400);
   EXPECT_EQ(add(R"({"name": "other", "asset": "builtin:box", "size_m": 0})"), 400);
   EXPECT_EQ(add(R"({"name": "other", "assett": "builtin:box"})"), 400);
+  EXPECT_EQ(add(R"({"name": "other", "asset": "builtin:box", "emission_lights": 1})"), 400);
   EXPECT_EQ(add(R"({"name": "other", "asset": "builtin:box", "position_m": [0.3, 0, 0],
                     "size_m": 0.2})"),
             202);

@@ -12,7 +12,7 @@
 #include "prt/geometry/plane.h"
 #include "prt/rays/rays.h"
 #include "prt/reference/internal/path_numbers.h"
-#include "prt/reference/local_material.h"
+#include "prt/geometry/local_material.h"
 #include "prt/reference/materials.h"
 #include "prt/reference/reference.h"
 

@@ -1,4 +1,4 @@
-#include "prt/reference/local_material.h"
+#include "prt/geometry/local_material.h"
 
 #include <fmt/format.h>
 
