@@ -83,6 +83,16 @@ def write_sun_hdr(path, width, height, sun):
     Path(path).write_bytes(head + bytes(pixels))
 
 
+def write_card_hdr(path, width, height, card, wall):
+    """A grey card over the left eighth, a grey wall over the rest, as flat RGBE."""
+    def pixel(grey):
+        mantissa, exponent = math.frexp(grey)
+        return bytes([int(mantissa * 256)] * 3 + [exponent + 128])
+    row = pixel(card) * (width // 8) + pixel(wall) * (width - width // 8)
+    head = f"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y {height} +X {width}\n".encode()
+    Path(path).write_bytes(head + row * height)
+
+
 def write_striped_hdr(path, width, height):
     """A sky of stripes by height, 0.125 and 2, over a ground of 8, as flat RGBE."""
     codes = {.125: (128, 126), 8: (128, 132), 2: (128, 130)}

@@ -738,6 +738,36 @@ class Tonemap(CliTest):
         self.expect_refusal(["--gain-map", "JPEG"], "tonemap", self.root / "sun.hdr", "-o", self.root / "sun.png",
                             "--gain-map")
 
+    def test_pictures_that_flicker_follow_each_other_calmly(self):
+        # A card in one corner that no lamp changes, and a wall that does, by a factor of two each time.
+        folder = self.root / "flicker"
+        folder.mkdir()
+        for k in range(8):
+            files.write_card_hdr(folder / f"p{k}.hdr", 64, 32, 0.25, 1.0 if k % 2 else 2.0)
+
+        def swing_of_card(*options):
+            out = self.root / "calm"
+            told = self.run_json("tonemap", folder, "-o", out, "--operator", "photographic", *options)
+            self.assertEqual(told["pictures"], 8)
+            codes = [files.read_png(out / f"p{k}.png")[2][0] for k in range(8)]
+            return max(codes[2:]) - min(codes[2:])
+        alone, together = swing_of_card("--adaptation", "0"), swing_of_card()
+        self.assertGreater(alone, 20)
+        self.assertLess(together, alone / 5)
+        video = self.root / "calm.mp4"
+        self.run_json("tonemap", folder, self.root / "even.hdr", "-o", video, "--fps", "24")
+        self.assertGreater(video.stat().st_size, 500)
+
+    def test_pictures_that_do_not_go_together_are_named(self):
+        files.write_hdr(self.root / "small.hdr", 16, 8, (1.0, 0.5, 0.25))
+        even, video = self.root / "even.hdr", self.root / "odd.mp4"
+        self.expect_refusal(["small.hdr", "16x8", "64x32"], "tonemap", even, self.root / "small.hdr", "-o", video)
+        self.assertFalse(video.exists())
+        self.expect_refusal(["even.hdr", "name"], "tonemap", even, even, "-o", self.root / "twice")
+        self.expect_refusal(["--gain-map", "single"], "tonemap", even, even, "-o", video, "--gain-map")
+        (self.root / "none").mkdir()
+        self.expect_refusal(["none", "no HDR pictures"], "tonemap", self.root / "none", "-o", video)
+
     def test_bad_input_is_one_line(self):
         out = self.root / "out" / "shown.png"
         for name in ("nowhere.hdr", "cut.hdr", "huge.hdr", "a.png"):

@@ -6,6 +6,8 @@
 #include <filesystem>
 #include <optional>
 #include <string>
+#include <utility>
+#include <vector>
 
 #include "codec/codec.h"
 #include "codec/gain_map_jpeg.h"
@@ -15,15 +17,20 @@
 #include "tools/common/command.h"
 #include "tools/common/print.h"
 #include "tools/penumbra/commands.h"
+#include "tools/penumbra/tonemap_sequence.h"
 
 namespace penumbra::tools {
+
+namespace fs = std::filesystem;
 
 namespace {
 
 struct TonemapOptions {
-  std::string input, output, op = "level-set";
+  std::vector<std::string> inputs;
+  std::string output, op = "level-set";
   std::optional<std::string> detail;
   tone::ToneOptions tone;
+  double fps = 30, adaptation_s = .4;  // of a sequence
   bool gain_map = false, json = false;
 };
 
@@ -76,21 +83,43 @@ Result<void> check_is_jpeg(const std::string& path) {
   return fail(ErrorCode::kInvalid, "--gain-map", "needs a JPEG: " + path + " is none by its name");
 }
 
+Result<void> show_sequence(const TonemapOptions& o, std::vector<fs::path> pictures) {
+  if (o.gain_map || o.detail)
+    return fail(ErrorCode::kInvalid, o.gain_map ? "--gain-map" : "--detail",
+                "is for a single picture");
+  const std::size_t count = pictures.size();
+  PENUMBRA_TRY(tonemap_sequence({std::move(pictures), o.output, o.tone, o.fps, o.adaptation_s}));
+  if (o.json)
+    print_json({{"operator", o.op}, {"pictures", count}});
+  else
+    fmt::print("{}: {} pictures by {}\n", o.output, count, o.op);
+  return {};
+}
+
 Result<void> tonemap(TonemapOptions o) {
-  if (o.gain_map) PENUMBRA_TRY(check_is_jpeg(o.output));
-  PENUMBRA_TRY(check_writable(o.output));
-  if (o.detail) PENUMBRA_TRY(check_writable(*o.detail));
   auto op = tone::parse_tone_operator(o.op);
   if (!op) return fail(op.error().code, "--operator " + o.op, op.error().detail);
   o.tone.op = *op;
-  PENUMBRA_ASSIGN(input, codec::read_hdr(o.input));
+  std::vector<fs::path> pictures;
+  for (const std::string& input : o.inputs) {
+    PENUMBRA_ASSIGN(found, pictures_of(input));
+    pictures.insert(pictures.end(), found.begin(), found.end());
+  }
+  std::error_code ignored;
+  if (pictures.size() > 1 || fs::is_directory(o.inputs[0], ignored))
+    return show_sequence(o, std::move(pictures));
+  const std::string& input_path = o.inputs[0];
+  if (o.gain_map) PENUMBRA_TRY(check_is_jpeg(o.output));
+  PENUMBRA_TRY(check_writable(o.output));
+  if (o.detail) PENUMBRA_TRY(check_writable(*o.detail));
+  PENUMBRA_ASSIGN(input, codec::read_hdr(input_path));
   auto mapped = tone::tone_map(input.pixels, o.tone);
   if (!mapped)
     return fail(mapped.error().code,
-                mapped.error().where == "picture" ? o.input : mapped.error().where,
+                mapped.error().where == "picture" ? input_path : mapped.error().where,
                 mapped.error().detail);
   if (mapped->statistics.negative > 0)
-    log_warning("{}: {} pixels have components below 0, which count as 0", o.input,
+    log_warning("{}: {} pixels have components below 0, which count as 0", input_path,
                 mapped->statistics.negative);
   if (o.detail && mapped->detail.empty())
     return fail(ErrorCode::kInvalid, "--detail",
@@ -106,10 +135,26 @@ Result<void> tonemap(TonemapOptions o) {
 
 void add_tonemap(CLI::App& parent, Action& action) {
   static TonemapOptions o;
-  auto* c = parent.add_subcommand("tonemap", "Show an HDR picture on an ordinary display");
-  c->add_option("input", o.input, "HDR picture: .exr, .hdr, .jph, .jp2, or .jpg with a gain map")
+  auto* c = parent.add_subcommand("tonemap", "Show HDR pictures on an ordinary display");
+  c->add_option(
+       "input", o.inputs,
+       "HDR picture: .exr, .hdr, .jph, .jp2, or .jpg with a gain map; several, or a folder "
+       "of them, follow each other as a video")
       ->required();
-  c->add_option("-o,--output", o.output, "Picture to write: PNG, JPEG or TIFF")->required();
+  c->add_option(
+       "-o,--output", o.output,
+       "Picture to write: PNG, JPEG or TIFF; of several pictures a video, .mp4, or a folder "
+       "for PNG")
+      ->required();
+  c->add_option("--fps", o.fps, "Pictures a second of several, 0.1 to 1000")
+      ->capture_default_str()
+      ->check(within(.1, 1000));
+  c->add_option(
+       "--adaptation", o.adaptation_s,
+       "Time in seconds in which several pictures' brightness is followed to 63 %, 0 to 60; "
+       "0: each by itself")
+      ->capture_default_str()
+      ->check(within(0, 60));
   c->add_option("--operator", o.op,
                 "level-set, photographic, photographic-local, bilateral or filmic")
       ->capture_default_str();
