@@ -17,9 +17,10 @@ namespace penumbra::runtime {
 
 namespace {
 
-// A light is traced anew when it moved by a tenth of its radius and this much: half a millimetre of
-// shadow from half a metre's height.
-constexpr double kMinMove = 1e-3;
+// A light is traced anew when it moved by this much, half a millimetre of shadow from half a metre's
+// height, and by a tenth of its radius; of a wide one by no more than what changes its cosine on a
+// surface by kVisibleFraction.
+constexpr double kMinMove = 1e-3, kMaxMove = 5e-3;  // radians
 constexpr double kVisibleFraction = .005;
 constexpr double kGoodDeal = .7;  // what does not change back and forth
 // Of an object's radius, for shadows on planes: of a cell of its shadow's map a fifteenth, an
@@ -419,7 +420,8 @@ bool DirectLightStage::update(std::span<const lighting::DistantLight> lights,
     const bool fine = traced_.size() < fine_lights;
     const TracedDetail detail =
         detail_for(source, fine, {mean_irradiance, open_irradiance}, t.detail);
-    const bool anew = t.cosine.empty() || move > kMinMove + .1 * source.radius.value() ||
+    const bool anew = t.cosine.empty() ||
+                      move > kMinMove + std::min(.1 * source.radius.value(), kMaxMove) ||
                       std::abs(t.radius - source.radius.value()) > .1 * source.radius.value() ||
                       detail.object_samples > t.detail.object_samples ||
                       detail.plane > t.detail.plane || detail.fine > t.detail.fine;

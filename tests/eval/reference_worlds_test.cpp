@@ -70,6 +70,20 @@ Image<Rgb> window_room() {
   return map;
 }
 
+// A wide window whose sill lies below the eyes, so that part of its light comes from below the
+// horizon and none of that reaches the floor.
+Image<Rgb> window_to_the_sill() {
+  Image<Rgb> map(2 * kRows, kRows);
+  for (int y = 0; y < kRows; ++y)
+    for (int x = 0; x < 2 * kRows; ++x) {
+      const dvec3 d = latlong_direction(x + .5, y + .5, 2 * kRows, kRows);
+      const double up = d.y / d.z, aside = d.x / d.z;
+      map.at(x, y) = d.y < 0 ? Rgb{.05f, .045f, .04f} : Rgb{.09f, .08f, .075f};
+      if (d.z > 0 && up > -.1 && up < .9 && aside > -.7 && aside < .5) map.at(x, y) = {9, 11, 14};
+    }
+  return map;
+}
+
 Image<Rgb> coloured_sun() {
   Image<Rgb> map(2 * kRows, kRows);
   for (int y = 0; y < kRows; ++y)
@@ -188,6 +202,8 @@ const World kWorlds[] = {
     // The blue one of them reaches all of both.
     {"block_in_shade_of_one", block_in_shade, [] { return std::vector{two_suns()}; }, .02, .05},
     {"window_frame", on_floor, [] { return std::vector{window_room()}; }, .05, .05},
+    // Before windows were more than round: shadow .023, object .7 %.
+    {"window_to_the_sill", on_floor, [] { return std::vector{window_to_the_sill()}; }, .018, .015},
     {"moving_lamp", on_floor,
      [] {
        std::vector<Image<Rgb>> maps;

@@ -179,6 +179,35 @@ TEST(Peeling, TheRestIsProjectedAsACopyOfItWouldBe) {
 }
 
 // In float the square of a faint sun's radiance is nothing, and that of an absurd one no number.
+// A square of sky, seen through a window: its corners are a fifth farther out than the rim of a
+// round light.
+TEST(Peeling, ALargeWindowKeepsItsCorners) {
+  const auto window = [](double half) {
+    Image<Rgb> map(256, 128, {.1f, .1f, .1f});
+    for (int y = 0; y < map.height(); ++y)
+      for (int x = 0; x < map.width(); ++x) {
+        const dvec3 d = latlong_direction(x + .5, y + .5, map.width(), map.height());
+        if (d.z < 0 && std::abs(d.x / d.z) < half && std::abs(d.y / d.z - -.5) < half)
+          map.at(x, y) = {10, 10, 10};
+      }
+    return map;
+  };
+  LightExtraction split;
+  const Image<Rgb> large_window = window(.4);
+  ASSERT_TRUE(extract_lights(large_window, {}, split));
+  ASSERT_EQ(split.lights.size(), 1u);
+  const DistantLight& large = split.lights[0];
+  ASSERT_FALSE(large.shape.empty());
+  double farthest = 0;
+  for (const dvec3& d : large.shape)
+    farthest = std::max(farthest, std::acos(glm::dot(d, large.direction)));
+  EXPECT_GT(farthest, large.radius.value());
+  const Image<Rgb> small_window = window(.05);
+  ASSERT_TRUE(extract_lights(small_window, {}, split));
+  ASSERT_EQ(split.lights.size(), 1u);
+  EXPECT_TRUE(split.lights[0].shape.empty()) << "nobody sees the corners of a small one";
+}
+
 TEST(Peeling, ASourceIsAsWideInAnyUnit) {
   const Image<Rgb> map = with_sun(noise(64, 32, 1), 1e4f);
   LightExtraction split;

@@ -373,6 +373,35 @@ TEST(DirectLightStage, CreepingSunIsFollowedWhileObjectsMove) {
   EXPECT_NE(light_on(*stage, scene, 0), first);
 }
 
+// A window as wide as a wall that turns by a degree: a tenth of its radius is three, and changes
+// what a surface gets by several percent.
+TEST(DirectLightStage, AWideLightThatTurnsIsFollowed) {
+  const PreparedScene scene = two_balls();
+  const OcclusionProbes around(scene);
+  auto kept = DirectLightStage::create(scene, {});
+  ASSERT_TRUE(kept);
+  const auto window = [](double azimuth) {
+    lighting::DistantLight d = sun(azimuth);
+    d.direction = glm::normalize(dvec3(std::cos(azimuth), .7, std::sin(azimuth)));
+    d.radius = Radians(.5);
+    d.radiance = {1, 1, 1};
+    return d;
+  };
+  kept->update(std::vector{window(0)}, 1, around);
+  for (const double azimuth : {.003, .006, .02, .035, .05}) {
+    auto fresh = DirectLightStage::create(scene, {});
+    ASSERT_TRUE(fresh);
+    fresh->update(std::vector{window(azimuth)}, 1, around);
+    kept->update(std::vector{window(azimuth)}, 1, around);
+    const auto mine = light_on(*kept, scene, 0), exact = light_on(*fresh, scene, 0);
+    double square = 0, power = 0;
+    for (std::size_t i = 0; i < mine.size(); ++i)
+      square += std::pow(double(mine[i]) - double(exact[i]), 2),
+          power += std::pow(double(exact[i]), 2);
+    EXPECT_LT(std::sqrt(square / power), .01) << azimuth;
+  }
+}
+
 // As casters planes are quads of single precision; beside something tiny one would cast a shadow
 // on itself.
 TEST(DirectLightStage, APlaneDoesNotShadeItself) {
