@@ -17,9 +17,9 @@ namespace penumbra::runtime {
 
 namespace {
 
-// A light is traced anew when it moved by this much, half a millimetre of shadow from half a metre's
-// height, and by a tenth of its radius; of a wide one by no more than what changes its cosine on a
-// surface by kVisibleFraction.
+// A light is traced anew when it moved by this much, half a millimetre of shadow from half a
+// metre's height, and by a tenth of its radius; a wide one by no more than what changes its cosine
+// on a surface by kVisibleFraction.
 constexpr double kMinMove = 1e-3, kMaxMove = 5e-3;  // radians
 constexpr double kVisibleFraction = .005;
 constexpr double kGoodDeal = .7;  // what does not change back and forth
