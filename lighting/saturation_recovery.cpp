@@ -200,7 +200,7 @@ void divide(const LightGroup& group, const glm::dvec3& normal, Rgb all,
       all += own * -1.f;
   }
   for (const DistantLight* d : takers) {
-    SaturationRecovery& recovery = out.emplace_back(d->id, power(*d));
+    SaturationRecovery& recovery = out.emplace_back(d->id, power(*d), takers.size() > 1);
     for (int c = 0; c < 3; ++c) {
       const float missing = std::max(0.f, all[c]);
       if (is_unseen(d))
@@ -305,20 +305,23 @@ Result<void> RecoveryMemory::remember(const SaturationRecovery& recovery) {
                 fmt::format("has a recovered power of {:.3g}, which is below the measured {:.3g}",
                             now, smallest));
   known->radiance = whole * static_cast<float>(1 / known->solid_angle_sr);
+  known->is_guess = recovery.is_guess;
   return {};
 }
 
 // In place of one that is gone, where there are too many.
 RecoveryMemory::RecoveredLight& RecoveryMemory::add(const DistantLight& source,
                                                     std::span<const DistantLight> present) {
-  RecoveredLight out{source.id, source.direction, {}, {}, source.solid_angle_sr(), std::nullopt};
+  RecoveredLight out{source.id, source.direction, {}, {}, source.solid_angle_sr(), std::nullopt,
+                     false};
   const auto is_same_sun = [&](const RecoveredLight& k) {
     return k.radiance && (k.source == kUnseenSun) != (source.id == kUnseenSun) &&
            source.radius <= kSunLike &&
            glm::dot(k.direction, source.direction) > std::cos(kSunLike.value());
   };
   if (const auto same = std::ranges::find_if(known_, is_same_sun); same != known_.end())
-    out.radiance = *same->radiance * static_cast<float>(same->solid_angle_sr / out.solid_angle_sr);
+    out.radiance = *same->radiance * static_cast<float>(same->solid_angle_sr / out.solid_angle_sr),
+    out.is_guess = same->is_guess;
   if (known_.size() >= kMaxKnown) {
     const auto gone = std::ranges::find_if(known_, [&](const RecoveredLight& k) {
       return std::ranges::find(present, k.source, &DistantLight::id) == present.end();
@@ -349,10 +352,10 @@ void RecoveryMemory::apply(std::vector<DistantLight>& lights, std::span<DistantL
     const Rgb full = *known->radiance * static_cast<float>(known->solid_angle_sr);
     const float fraction = luminance(whole) > 0 ? luminance(power(source)) / luminance(whole) : 1;
     source = completed(source, full * fraction);
-    source.recovered = true;
+    source.recovered = !known->is_guess;
     if (residual != unused.end()) {
       *residual = completed(*residual, full * (1 - fraction));
-      residual->recovered = true;
+      residual->recovered = source.recovered;
       known->in_harmonics = power(*residual);
     }
     changed = true;

@@ -23,6 +23,8 @@ struct LightEstimate;
 struct SaturationRecovery {
   int source = 0;  // its id
   Rgb power;
+  // Together with other lights it is right; how they share it is a guess, and stays a lower bound
+  bool is_guess = false;
 };
 
 /// Of a clipped source's irradiance on the open surface, what arrives somewhere on it: 0 in its
@@ -55,8 +57,8 @@ struct ShadowRecovery {
 ///   pi L_g / albedo = others_g E_others + beside_g + sum_j part_gj b_j Int cos+ over light j
 /// What no shadow tells apart shares its part of the light in proportion to what was measured of
 /// each. Where some are sun-like, among those alone: a sun or a bulb exceeds what saturates by
-/// orders of magnitude, a window by little. The light on the surface comes out right, that division
-/// is a guess. A sun that no camera sees takes all of it, which may be nothing.
+/// orders of magnitude, a window by little. The light on the surface comes out right, a division
+/// among several is a guess (is_guess). A sun that no camera sees takes all of it, which may be nothing.
 /// errors:  kInvalid (no clipped light, a part of one that is not, bad normal or albedo),
 ///          kNonFinite, kUndetermined (the surface sees none of them, a region is black, the
 ///          shadows do not tell light and albedo apart)
@@ -76,7 +78,8 @@ DistantLight completed(const DistantLight& measured, const Rgb& power);
 
 /// Completions of tracked lights. Remembered is the radiance over the measured solid angle, so that
 /// a source that is half covered later has half the power, and other exposures change nothing. A
-/// sun that comes into view, or leaves it, keeps its power.
+/// sun that comes into view, or leaves it, keeps its power. A guess completes a light and leaves it
+/// a lower bound.
 /// threads: thread-bound
 class RecoveryMemory {
  public:
@@ -95,6 +98,7 @@ class RecoveryMemory {
     Rgb in_harmonics;  // of a light that is fading in: what the list does not have yet
     double solid_angle_sr;
     std::optional<Rgb> radiance;
+    bool is_guess;  // the radiance
   };
   RecoveredLight* find(int source);
   RecoveredLight& add(const DistantLight& source, std::span<const DistantLight> present);

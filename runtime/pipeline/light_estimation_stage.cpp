@@ -316,7 +316,12 @@ void LightEstimationStage::add_recoveries(
                           ? std::string("the sun that no camera sees")
                           : fmt::format("saturated light {}", c.source);
     const auto added = estimator_.add_recovery(c);
-    if (added)
+    if (added && c.is_guess)
+      log_warning(
+          "light: the power of {} stays a lower bound: the floor tells what several saturated "
+          "lights send together, no shadow tells how much each does",
+          name);
+    else if (added)
       log_info("light: the power of {} is recovered from the floor", name);
     else  // it has moved on, or the floor says less than the camera
       log_warning("light: the power of {} is not recovered from the floor: it {}", name,

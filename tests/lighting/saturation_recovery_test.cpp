@@ -214,6 +214,7 @@ TEST(SaturationRecovery, OnePatchGivesSeveralSourcesTheirLightTogether) {
   const auto got = test::recover_from_patch(light, floor);
   ASSERT_TRUE(got) << got.error().detail;
   EXPECT_EQ(got->size(), 2U);
+  for (const SaturationRecovery& r : *got) EXPECT_TRUE(r.is_guess) << r.source;
   const Rgb truth = exact_irradiance(map, kUp);
   expect_power(irradiance_with(light, *got, kUp), truth, .02);
   EXPECT_LT(luminance(irradiance_with(light, {}, kUp)), .6f * luminance(truth)) << "lost without";
@@ -498,6 +499,32 @@ TEST(RecoveryMemory, NothingIsPromisedUntilASaturatedLightIsRecovered) {
   const auto blurred = harmonics.estimate(clip(map, 8));
   ASSERT_TRUE(blurred && blurred->plan);
   EXPECT_TRUE(blurred->plan->lower_bound);
+}
+
+// A warm and a cool lamp on two sides, one patch between them: what each sends nobody can tell.
+TEST(RecoveryMemory, AGuessCompletesTheLightsAndPromisesNothing) {
+  std::mt19937 rng(9);
+  const Lamp lamps[] = {kLamp, kOther};
+  const auto map = room_with(lamps);
+  LightEstimator estimator({});
+  GovernorConfig config;
+  config.limits.max_error = .9;
+  config.probes.deficit.assign(kMaxCoefficients, 0);
+  estimator.set_governor(config);
+  const auto first = estimator.estimate(at(clip(map, 8), 0));
+  ASSERT_TRUE(first && first->lights.size() == 2);
+  const auto got = test::recover_from_patch(*first, patch(map, kUp, rng));
+  ASSERT_TRUE(got && got->size() == 2);
+  for (const SaturationRecovery& r : *got) ASSERT_TRUE(estimator.add_recovery(r));
+  const auto second = estimator.estimate(at(clip(map, 8), 1));
+  ASSERT_TRUE(second && second->lights.size() == 2);
+  for (const DistantLight& d : second->lights) {
+    EXPECT_TRUE(d.is_lower_bound());
+    EXPECT_GT(luminance(power(d)),
+              1.5f * luminance(power(*std::ranges::find(first->lights, d.id, &DistantLight::id))));
+  }
+  EXPECT_TRUE(second->plan->lower_bound);
+  EXPECT_FALSE(second->plan->within_budget);
 }
 
 // A sun that no camera sees and that nobody has told the power of is carried along: it takes no
