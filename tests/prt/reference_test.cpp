@@ -244,6 +244,20 @@ TEST(ReferenceIrradiance, FloorAddsWhatItReflects) {
   }
 }
 
+// A wall meets a black floor: its lowest points look up into the sky with one half and see nothing
+// of what lies below the floor.
+TEST(ReferenceIrradiance, WhatStandsOnTheFloorSeesNothingBelowIt) {
+  const auto light = light_of(map_of(64, 32, [](const dvec3& d) {
+    return d.y > 0 ? Rgb{1, 1, 1} : Rgb{100, 100, 100};
+  }));
+  ReferenceWorld world = world_of({}, light);
+  world.planes.push_back({{0, 0, 0}, {0, 1, 0}, kBlack, {}});
+  for (const double height : {0., 1e-7, 1e-3}) {
+    const auto e = irradiance_at(world, {{{0, height, 0}, {0, 0, 1}}}, 4096);
+    EXPECT_NEAR(e[0].g, kPi / 2, .02 * kPi) << height;
+  }
+}
+
 TEST(ReferenceIrradiance, TextureScalesTheFloorAndItsBackIsBlack) {
   const auto light = EnvironmentLight::from_sh(test::constant_light(kWhite));
   ReferenceWorld world = world_of({}, light);
