@@ -37,6 +37,12 @@ double narrowness(const DistantLight& source, double held_rad) {
   return std::max(0., 1 - source.radius.value() / held_rad);
 }
 
+// Of a light's shadow as long as its object is high: what the cells of its map cost. The wider the
+// light, the smoother its shadow.
+double of_length(const DistantLight& source, bool wide) {
+  return wide ? kOfWideLength * std::sqrt(kWideLight / source.radius) : kOfLength;
+}
+
 // The size of a block in degrees, as far as a light is not wider: how narrow it is cannot be told
 // from blocks, so it counts alike however it was found.
 double too_large_blocks_deg(const DistantLight& source, int map_rows) {
@@ -140,7 +146,7 @@ void ErrorTable::predict_traced(const SplitLight& light, const Parts& parts) {
     const DistantLight& d = light.lights[j];
     Traced& t = traced_[j + 1] = traced_[j];
     const bool wide = d.radius >= kWideLight;
-    const double length = (wide ? kOfWideLength : kOfLength) / std::max(d.direction.y, kLowest),
+    const double length = of_length(d, wide) / std::max(d.direction.y, kLowest),
                  fine = kFine + length;
     add(t.fine, fine, kOnObject, parts.fractions[j]);
     add(t.coarse, wide ? fine : std::hypot(fine, kCoarse + length), kOnObject, parts.fractions[j]);

@@ -158,7 +158,7 @@ struct Plan : Treatment {
 ///         docs/methods/governor.md
 class Governor {
  public:
-  static constexpr double kConformalFactor = 2.3;
+  static constexpr double kConformalFactor = 2.1;
   static constexpr Seconds kPatience{2};
   static constexpr double kMargin = .8;
   /// Bands cost so little that what is left out may take no more of the budget, and never what

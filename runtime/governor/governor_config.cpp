@@ -8,8 +8,10 @@
 #include "core/conventions.h"
 #include "lighting/estimate.h"
 #include "lighting/lights/distant_light.h"
+#include "lighting/sh/basis.h"
 #include "lighting/sh/rotation.h"
 #include "prt/bake/bake.h"
+#include "prt/rays/ray_pattern.h"
 #include "prt/transfer/transfer.h"
 #include "runtime/direct/direct_light_stage.h"
 #include "runtime/direct/scene_light.h"
@@ -121,6 +123,35 @@ double time_reading(int map_step) {
   return time_single_threaded(kRuns, read, kMaxFit_ms).p50_ms;
 }
 
+// pi S_n around a ball that rests on a floor, in the world's frame: what stands on something real,
+// where no bake tells what it takes of the light there. Places like those that a bake keeps.
+std::vector<float> deficit_below_a_ball() {
+  constexpr int kPoints = 32, kAcross = 24;  // directions over half of what the ball hides
+  std::vector<float> out;
+  double basis[kMaxCoefficients];
+  for (int i = 0; i < kPoints; ++i) {
+    const double away = .6 + 1.8 * (i + .5) / kPoints,  // in radii
+        azimuth = i * 2.399963229728653;
+    const glm::dvec3 to(away * std::cos(azimuth), 1, away * std::sin(azimuth));
+    const double distance = glm::length(to), half = std::asin(1 / distance);
+    const glm::dmat3 frame(prt::frame_around(glm::vec3(to / distance)));
+    std::vector<double> row(kMaxCoefficients);
+    constexpr int kDirections = kAcross * kAcross;
+    const double cap = 1 - std::cos(half);
+    for (int k = 0; k < kDirections; ++k) {
+      const double z = 1 - cap * (k + .5) / kDirections, r = std::sqrt(1 - z * z),
+                   a = k * 2.399963229728653;
+      const glm::dvec3 d = frame * glm::dvec3(r * std::cos(a), r * std::sin(a), z);
+      if (d.y <= 0) continue;
+      lighting::evaluate_basis(kMaxBands, d, basis);
+      for (std::size_t n = 0; n < row.size(); ++n)
+        row[n] += basis[n] * d.y * 2 * kPi * cap / kDirections;
+    }
+    out.insert(out.end(), row.begin(), row.end());
+  }
+  return out;
+}
+
 }  // namespace
 
 lighting::SceneProbes scene_probes(const PreparedScene& scene, int bands) {
@@ -136,11 +167,17 @@ lighting::SceneProbes scene_probes(const PreparedScene& scene, int bands) {
   }
   const std::size_t each = std::max<std::size_t>(
       8, std::min(kProbesEach, kProbes / std::max<std::size_t>(1, scene.objects.size())));
+  bool stood_in = false;
   for (const PreparedObject& o : scene.objects) {
     const prt::Transfer &floor = o.baked.shadow_probes, &surface = o.baked.transfer;
     WorldRow on_floor(o.world_from_bake, kMaxBands);
     for (std::size_t i = 0; i < std::min(each, floor.points); ++i)
       on_floor.add(floor, 0, i, static_cast<float>(kPi), out.deficit);
+    if (floor.points == 0 && !stood_in) {
+      const std::vector<float> ball = deficit_below_a_ball();
+      out.deficit.insert(out.deficit.end(), ball.begin(), ball.end());
+      stood_in = true;
+    }
     if (out.transfer_bands == 0) continue;
     WorldRow on_surface(o.world_from_bake, out.transfer_bands);
     for (std::size_t i = 0; i < std::min(each, surface.points); ++i)
