@@ -58,7 +58,8 @@ struct ShadowRecovery {
 /// What no shadow tells apart shares its part of the light in proportion to what was measured of
 /// each. Where some are sun-like, among those alone: a sun or a bulb exceeds what saturates by
 /// orders of magnitude, a window by little. The light on the surface comes out right, a division
-/// among several is a guess (is_guess). A sun that no camera sees takes all of it, which may be nothing.
+/// among several is a guess (is_guess). A sun that no camera sees takes all of it, which may be
+/// nothing.
 /// errors:  kInvalid (no clipped light, a part of one that is not, bad normal or albedo),
 ///          kNonFinite, kUndetermined (the surface sees none of them, a region is black, the
 ///          shadows do not tell light and albedo apart)

@@ -60,7 +60,7 @@ void VisibilityLookup::look_up(const VisibilitySamples& directions_used,
   assert(directions_used.turns() > 0 &&
          last <= (vertices.empty() ? heads_.size() : vertices.size()));
   assert((directions_used.cells() == VisibilityMap::kCells &&
-          directions_used.each() == VisibilitySamples::kMax) ||
+          directions_used.each() % VisibilitySamples::kMax == 0) ||
          (directions_used.cells() == VisibilityMap::kFineCells &&
           directions_used.each() % VisibilitySamples::kFew == 0));
   const VisibilityRows rows{heads_.data(),

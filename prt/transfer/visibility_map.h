@@ -85,8 +85,8 @@ class VisibilitySamples {
   static constexpr std::size_t kMax = 16, kFew = 8;  // a vertex
 
   /// threads: thread-bound; memory grows once
-  /// in: cells kCells, or kFineCells: half as blurred, and slower; each kMax, or in finer cells
-  /// kFew
+  /// in: cells kCells, or kFineCells: half as blurred, and slower; each a multiple of kMax, or in
+  /// finer cells of kFew
   void clear(int cells, std::size_t each = kMax) {
     cells_ = cells, each_ = each;
     x_.clear(), y_.clear(), z_.clear(), counts_.clear();

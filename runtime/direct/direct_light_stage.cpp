@@ -319,7 +319,7 @@ bool DirectLightStage::shade_new_hits(TracedLight& t, const OcclusionProbes& aro
   return any;
 }
 
-void DirectLightStage::trace(TracedLight& t, bool all) {
+void DirectLightStage::trace(TracedLight& t, bool all, bool moves) {
   if (all) {  // else some of it stays as it was traced for the light that these tell
     t.direction = t.source.direction;
     t.shape = t.source.shape;
@@ -327,13 +327,19 @@ void DirectLightStage::trace(TracedLight& t, bool all) {
   }
   around_.clear();
   memo_.clear();
+  const bool hurry = moves && !t.cosine.empty() && shadows::is_wide(t.source);
+  t.hurried.resize(scene_->objects.size());
   t.cosine.resize(scene_->objects.size());
   t.edged.resize(scene_->objects.size());
   for (std::size_t i = 0; i < scene_->objects.size(); ++i) {
-    if (!visible_[i]) continue;
+    if (!visible_[i]) {
+      t.hurried[i] = 0;
+      continue;
+    }
     const PreparedObject& o = scene_->objects[i];
     around_.push_back({poses_[i] * spheres_[i].centre, kAround * spheres_[i].radius});
-    if (!all && !may_have_changed(i, t.source)) continue;
+    const bool settles = t.hurried[i] && !moves;
+    if (!all && !settles && !may_have_changed(i, t.source)) continue;
     changed_[i] = 1;
     t.cosine[i].resize(o.baked.mesh.positions.size());
     const prt::Plane own{poses_[i].translation, poses_[i].rotation * glm::dvec3(0, 1, 0), {}, {}};
@@ -342,8 +348,11 @@ void DirectLightStage::trace(TracedLight& t, bool all) {
     const int sampling =
         virtual_casters_[i].visibility ? t.detail.object_samples : sampling_.object;
     const bool with_edges = t.source.id == with_edges_ && drawn_by_vertices(o);
-    shadows::trace_direct_light(all_rays(), casters(), virtual_casters_[i],
-                                o.baked.receiver ? &own : nullptr, t.source, sampling, t.cosine[i],
+    shadows::Caster lit = virtual_casters_[i];
+    lit.hurried = hurry && lit.visibility;
+    t.hurried[i] = lit.hurried;
+    shadows::trace_direct_light(all_rays(), casters(), lit, o.baked.receiver ? &own : nullptr,
+                                t.source, sampling, t.cosine[i],
                                 with_edges ? &t.edged[i] : nullptr);
     if (!with_edges) t.edged[i].open.clear(), t.edged[i].lit.clear();
   }
@@ -426,8 +435,10 @@ bool DirectLightStage::update(std::span<const lighting::DistantLight> lights,
                       detail.object_samples > t.detail.object_samples ||
                       detail.plane > t.detail.plane || detail.fine > t.detail.fine;
     if (anew) t.detail = detail;
-    if (anew || poses_changed) {
-      trace(t, anew);
+    // What was hurried while something moved is traced well once nothing does.
+    const bool settles = !poses_changed && std::ranges::find(t.hurried, 1) != t.hurried.end();
+    if (anew || poses_changed || settles) {
+      trace(t, anew, poses_changed);
       changed = true;
     }
     if (!anew && change <= kVisibleFraction * mean_irradiance) {

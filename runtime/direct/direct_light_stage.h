@@ -113,6 +113,7 @@ class DirectLightStage {
     lighting::DistantLight::Shape shape{};
     double radius = 0;
     std::vector<std::vector<float>> cosine;                 // by object, by vertex
+    std::vector<char> hurried;                              // by object: as shadows::Caster
     std::vector<shadows::EdgedFractions> edged;             // by object
     std::vector<std::vector<std::uint8_t>> hit_shade;       // by object, by probe hit
     std::vector<std::uint32_t> hits_version;                // by object: of the hits that it shades
@@ -140,7 +141,7 @@ class DirectLightStage {
   void follow_forms();
   /// `all`: the light itself is new or has moved; otherwise only what objects that moved can have
   /// changed.
-  void trace(TracedLight& traced, bool all);
+  void trace(TracedLight& traced, bool all, bool moves);
   bool shade_new_hits(TracedLight& traced, const OcclusionProbes& around, bool all);
   void trace_planes(TracedLight& traced);
   TracedDetail detail_for(const lighting::DistantLight& source, bool fine, const OpenLight& open,

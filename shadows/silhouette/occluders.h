@@ -42,6 +42,8 @@ struct Caster {
   const SilhouetteMesh* silhouette;  // of the mesh as it is, or simplified (for planes)
   Pose world_from_mesh;
   const prt::VisibilityLookup* visibility = nullptr;  // of the mesh as it is; null: not known
+  /// The light on it will be another in the next frame: no time is spent on grain.
+  bool hurried = false;
 };
 
 /// What casts shadows on a plane.

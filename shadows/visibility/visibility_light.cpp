@@ -1,6 +1,7 @@
 #include "shadows/visibility/internal/visibility_light.h"
 
 #include <algorithm>
+#include <atomic>
 #include <cmath>
 
 #include "core/conventions.h"
@@ -13,6 +14,7 @@ namespace penumbra::shadows {
 namespace {
 
 constexpr std::size_t kAtOnce = 1024;  // vertices
+constexpr int kAgain = 32;             // directions, where few do not tell
 
 // A thing like the object, in its place, hides what the object itself does.
 bool is_twin(const Caster& a, const Caster& b) {
@@ -31,6 +33,18 @@ void aim(const Caster& object, const prt::Plane* plane, const lighting::DistantL
   out.clear(cells, each);
   for (std::size_t turn = 0; turn < kTurns; ++turn)
     for (const glm::vec3& d : pattern.at(turn)) out.add(mesh_from_world * d, !behind(plane, d));
+}
+
+// All of the light in as many directions as there may be, the same ones for every vertex.
+void aim_finely(const Caster& object, const prt::Plane* plane, const lighting::DistantLight& source,
+                int cells, prt::VisibilitySamples& out) {
+  thread_local SamplePattern pattern;  // grows once per thread
+  pattern.make(source, kAgain, 1);
+  const glm::mat3 mesh_from_world = glm::transpose(object.world_from_mesh.rotation_matrix());
+  out.clear(cells, kAgain);
+  // What is behind the plane looks nowhere.
+  for (const glm::vec3& d : pattern.at(0))
+    out.add(behind(plane, d) ? glm::vec3(0) : mesh_from_world * d, true);
 }
 
 // What the samples see, and after the last one nothing.
@@ -59,6 +73,49 @@ std::uint8_t says(const prt::CosineSums& here) {
   if (here.open <= 0) return 0;
   if (here.seen <= 0) return kSaysDark;
   return here.seen >= here.open * (1 - kRounding) ? kSaysLit : kSaysMixed;
+}
+
+// Vertices that see a part of the light, and those beside them: what takes little of it is found
+// by some of them only, and where it is found alone it would count for too little.
+const std::vector<std::uint32_t>& mixed_and_beside(const prt::Mesh& mesh,
+                                                   std::span<const prt::CosineSums> sums) {
+  thread_local std::vector<char> marked_memory;  // grow once per thread
+  thread_local std::vector<std::uint32_t> out;
+  std::vector<char>& marked = marked_memory;
+  marked.assign(sums.size(), 0);
+  out.clear();
+  const auto mixed = [&](std::uint32_t v) { return says(sums[v]) == kSaysMixed; };
+  parallel_for(std::size_t{0}, mesh.triangles.size(), 8 * kAtOnce, [&](const auto& part) {
+    for (std::size_t t = part.begin(); t < part.end(); ++t) {
+      const auto& corners = mesh.triangles[t];
+      if (!std::ranges::any_of(corners, mixed)) continue;
+      for (const std::uint32_t v : corners)
+        std::atomic_ref(marked[v]).store(1, std::memory_order_relaxed);
+    }
+  });
+  for (std::size_t v = 0; v < marked.size(); ++v)
+    if (marked[v]) out.push_back(static_cast<std::uint32_t>(v));
+  return out;
+}
+
+// Few directions tell the part of the light that is seen in steps, which look like grain. There all
+// of them are looked into.
+void look_again(const Caster& object, const prt::Plane* plane, const lighting::DistantLight& source,
+                int cells, std::span<prt::CosineSums> out) {
+  thread_local prt::VisibilitySamples samples_memory;  // grow once per thread
+  thread_local std::vector<prt::CosineSums> sums_memory;
+  const std::vector<std::uint32_t>& again = mixed_and_beside(*object.mesh, out);
+  if (again.empty()) return;
+  prt::VisibilitySamples& directions_used = samples_memory;
+  aim_finely(object, plane, source, cells, directions_used);
+  std::vector<prt::CosineSums>& sums = sums_memory;
+  sums.resize(again.size());
+  constexpr float kOfFew = float{prt::VisibilitySamples::kMax} / kAgain;
+  parallel_for(std::size_t{0}, again.size(), kAtOnce, [&](const auto& part) {
+    object.visibility->look_up(directions_used, again, part.begin(), part.end(), sums);
+    for (std::size_t k = part.begin(); k < part.end(); ++k)
+      if (sums[k].open > 0) out[again[k]] = {kOfFew * sums[k].seen, kOfFew * sums[k].open};
+  });
 }
 
 }  // namespace
@@ -131,6 +188,7 @@ void look_up(const Caster& object, const prt::Plane* plane, const lighting::Dist
   parallel_for(std::size_t{0}, out.size(), kAtOnce, [&](const auto& part) {
     object.visibility->look_up(directions_used, part.begin(), part.end(), out);
   });
+  if (!object.hurried) look_again(object, plane, source, cells, out);
 }
 
 void scout(const Caster& object, const lighting::DistantLight& source,

@@ -373,6 +373,29 @@ TEST(DirectLightStage, CreepingSunIsFollowedWhileObjectsMove) {
   EXPECT_NE(light_on(*stage, scene, 0), first);
 }
 
+// While something moves, nobody looks closely. Once it rests, all is as a stage of its own finds
+// it.
+TEST(DirectLightStage, WhatWasHurriedIsTracedWellOnceAllRests) {
+  const PreparedScene scene = two_of(prt::make_knot(.5f, 96, 16, {.6f, .6f, .6f}), true);
+  const OcclusionProbes around(scene);
+  auto kept = DirectLightStage::create(scene, {}), fresh = DirectLightStage::create(scene, {});
+  ASSERT_TRUE(kept && fresh);
+  lighting::DistantLight window = sun(0);
+  window.radius = Radians(.5);
+  const Pose first{{1, 0, 0, 0}, {-3, 0, 0}}, last{{1, 0, 0, 0}, {-3, 0, .5}};
+  const auto update = [&](DirectLightStage& stage, const Pose& pose) {
+    stage.set_pose(1, pose);
+    return stage.update(std::vector{window}, 1, around);
+  };
+  update(*kept, first);
+  update(*fresh, last);
+  EXPECT_TRUE(update(*kept, last));
+  EXPECT_NE(light_on(*kept, scene, 1), light_on(*fresh, scene, 1));
+  EXPECT_TRUE(update(*kept, last));
+  EXPECT_EQ(light_on(*kept, scene, 1), light_on(*fresh, scene, 1));
+  EXPECT_FALSE(update(*kept, last)) << "nothing is left to do";
+}
+
 // A window as wide as a wall that turns by a degree: a tenth of its radius is three, and changes
 // what a surface gets by several percent.
 TEST(DirectLightStage, AWideLightThatTurnsIsFollowed) {
