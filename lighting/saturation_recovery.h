@@ -23,7 +23,8 @@ struct LightEstimate;
 struct SaturationRecovery {
   int source = 0;  // its id
   Rgb power;
-  // Together with other lights it is right; how they share it is a guess, and stays a lower bound
+  // Together with other lights it is right. How they share it is a guess: nothing is promised, as
+  // over a lower bound
   bool is_guess = false;
 };
 

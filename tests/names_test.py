@@ -47,6 +47,7 @@ HTTP, REPORT = "service/http/state_json.cpp", "runtime/pipeline/report.h"
 SUMMARY = "tools/runs/summary.cpp: summarise("
 CONFIGURATION = SUMMARY + ' > {"configuration"'
 RECORD = "tools/penumbra/command_record.cpp: to_json("
+TONEMAP = "tools/penumbra/command_tonemap.cpp: print_json("
 BAKE = "tools/penumbra/bake/command_bake.cpp: print_json("
 MERGE = "tools/penumbra/command_hdr.cpp: print_json("
 ENVIRONMENT = "tools/penumbra/command_environment.cpp"
@@ -108,7 +109,7 @@ TABLES = {
             f"{REPORT}: json to_json(const ProcessorTimes&"],
         "render": ["tools/penumbra/command_render.cpp: print_json("],
         "record": [f"{RECORD} > return"],
-        "tonemap": ["tools/penumbra/command_tonemap.cpp: print_json("],
+        "tonemap": [TONEMAP, TONEMAP + "{{\"operator\", o.op}, {\"pictures\""],
         "encode": ['tools/penumbra/command_encode.cpp: print_json({{"width", pixels'],
         "decode": ['tools/penumbra/command_encode.cpp: print_json({{"width", input'],
         "bake": [BAKE, CLIP + ': print_json({{"clip" - ' + BAKE],

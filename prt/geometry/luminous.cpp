@@ -3,15 +3,15 @@
 #include <algorithm>
 #include <cmath>
 #include <cstddef>
+#include <functional>
 #include <glm/geometric.hpp>
+#include <utility>
 
 #include "core/conventions.h"
 
 namespace penumbra::prt {
 
 namespace {
-
-constexpr float kThird = 1.f / 3;
 
 float area_of(const Mesh& mesh, const std::array<std::uint32_t, 3>& corners) {
   const glm::vec3 &a = mesh.positions[corners[0]], &b = mesh.positions[corners[1]],
@@ -28,10 +28,32 @@ TrianglePlace place_in(const std::array<std::uint32_t, 3>& corners, int k) {
   return {corners, u, v, true};
 }
 
+// Mean over a triangle.
+Rgb emission_of(const Mesh& mesh, const SurfaceMaterials& surface,
+                const std::array<std::uint32_t, 3>& corners) {
+  constexpr float kSixth = 1.f / 6, kMost = 2.f / 3, kThird = 1.f / 3;
+  Rgb sum;
+  for (const auto& [u, v] :
+       {std::pair(kThird, kThird), {kSixth, kSixth}, {kMost, kSixth}, {kSixth, kMost}}) {
+    const LocalMaterial here = local_material(mesh, surface, {corners, u, v, true});
+    sum += here.emission * here.opacity;
+  }
+  return sum * .25f;
+}
+
 // What a part's triangles send, one after another.
 struct SentByTriangles {
   std::vector<std::size_t> triangles;
   std::vector<double> up_to;  // sum of luminance times area, that triangle's with it
+  double square = 0;          // sum of squared luminance times area
+
+  void add(std::size_t triangle, double power, double m2) {
+    triangles.push_back(triangle);
+    up_to.push_back((up_to.empty() ? 0 : up_to.back()) + power);
+    square += power * power / m2;
+  }
+  // Of an even part that sends as much, as bright as this one is on average over its light.
+  double lit_area() const { return up_to.back() * up_to.back() / square; }
 };
 
 // Even steps through the sum: neighbours in the mesh's order follow each other, so that points lie
@@ -49,31 +71,32 @@ void place_points(const Mesh& mesh, const SentByTriangles& sent, int points, Lum
 
 std::vector<LuminousPart> luminous_parts(const Mesh& mesh, const SurfaceMaterials& surface,
                                          int points) {
-  std::vector<LuminousPart> out;
-  for (std::size_t m = 0; m < surface.materials.size(); ++m) {
+  std::vector<LuminousPart> parts(surface.materials.size());
+  std::vector<SentByTriangles> sent(parts.size());
+  for (std::size_t t = 0; t < mesh.triangles.size(); ++t) {
+    const auto& corners = mesh.triangles[t];
+    const std::size_t m = surface.material[corners[0]];
     const Material& material = surface.materials[m];
     if (material.unlit || !(luminance(material.emission) > 0)) continue;
-    LuminousPart part;
-    part.material = material.name;
-    part.double_sided = material.double_sided;
-    SentByTriangles sent;
-    double all = 0, area = 0;
-    for (std::size_t t = 0; t < mesh.triangles.size(); ++t) {
-      const auto& corners = mesh.triangles[t];
-      if (surface.material[corners[0]] != m) continue;
-      const LocalMaterial middle = local_material(mesh, surface, {corners, kThird, kThird, true});
-      const float m2 = area_of(mesh, corners);
-      const Rgb emitted = middle.emission * (m2 * middle.opacity);
-      if (!(luminance(emitted) > 0)) continue;
-      part.emission_m2 += emitted;
-      all += luminance(emitted), area += m2;
-      sent.triangles.push_back(t), sent.up_to.push_back(all);
-    }
-    if (sent.triangles.empty()) continue;
-    place_points(mesh, sent, points, part);
-    part.point_m2 = static_cast<float>(area / points);
+    const double m2 = area_of(mesh, corners);
+    const Rgb emitted = emission_of(mesh, surface, corners) * static_cast<float>(m2);
+    const double power = luminance(emitted);
+    if (!(power > 0)) continue;
+    parts[m].emission_m2 += emitted;
+    sent[m].add(t, power, m2);
+  }
+  std::vector<LuminousPart> out;
+  for (std::size_t m = 0; m < parts.size(); ++m) {
+    if (sent[m].triangles.empty()) continue;
+    LuminousPart& part = parts[m];
+    part.material = surface.materials[m].name;
+    part.double_sided = surface.materials[m].double_sided;
+    part.point_m2 = static_cast<float>(sent[m].lit_area() / points);
+    place_points(mesh, sent[m], points, part);
     out.push_back(std::move(part));
   }
+  std::ranges::stable_sort(out, std::greater<>(),
+                           [](const LuminousPart& p) { return luminance(p.emission_m2); });
   return out;
 }
 

@@ -18,13 +18,13 @@ struct LuminousPart {
   std::string material;
   bool double_sided = false;
   Rgb emission_m2;     // emission times area, over the whole part: one colour for all of it
-  float point_m2 = 0;  // area that a point stands for
+  float point_m2 = 0;  // area that a point stands for: of where most of the light is
   // Each stands for the same share of the light, as a triangle's corners and a place in it
   std::vector<TrianglePlace> points;
 };
 
-/// Of each material whose emission is not black; unlit ones do not count. A picture of emission is
-/// read once in each triangle. At most `points` points a part, fewer in a mesh of no area.
+/// Of each material whose emission is not black; unlit ones do not count, nor what has no area. A
+/// picture of emission is read at four places of each triangle. The brightest part first.
 /// in: a surface that check_surface() accepts for the mesh
 std::vector<LuminousPart> luminous_parts(const Mesh& mesh, const SurfaceMaterials& surface,
                                          int points);

@@ -37,9 +37,10 @@ const Plane* Tracer::nearest_plane(const glm::vec3& o, const glm::vec3& d, float
   for (const Plane& plane : world_.planes) {
     const double slope = glm::dot(plane.normal, glm::dvec3(d));
     if (slope == 0) continue;
-    double t = glm::dot(plane.normal, plane.point - glm::dvec3(o)) / slope;
+    const double above = glm::dot(plane.normal, glm::dvec3(o) - plane.point);
+    double t = -above / slope;
     // What starts on a plane, as where a wall meets the floor, and goes into it is stopped there.
-    const bool starts_on_it = slope < 0 && std::abs(t) <= double{near};
+    const bool starts_on_it = slope < 0 && near <= near_ && std::abs(above) <= double{near_};
     if (starts_on_it) t = near;
     if ((starts_on_it || t > near) && t < distance)
       distance = static_cast<float>(t), nearest = &plane;

@@ -29,19 +29,44 @@ constexpr std::array<float, 2> kCoarse = {1e-3f, 2e-3f};
 // Radii of an object within which it matters what real things leave: as far as its planar shadow
 // goes.
 constexpr double kAround = 5;
+// Updates without a move until what was hurried is traced well; from then on it is due.
+constexpr std::uint8_t kPatience = 8, kDue = 1;
 const shadows::ShadowMap kNoShadow;
 
 double angle_between(const glm::dvec3& a, const glm::dvec3& b) {
   return std::acos(std::clamp(glm::dot(a, b), -1., 1.));
 }
 
-// Largest move of the points of two forms; a form that came or went moved as far as can be.
-double move_of(std::span<const glm::dvec3> before, std::span<const glm::dvec3> now) {
-  if (before.size() != now.size()) return kPi;
-  double largest = 0;
-  for (std::size_t i = 0; i < now.size(); ++i)
-    largest = std::max(largest, angle_between(before[i], now[i]));
-  return largest;
+// Where a light lies and how far it spreads, whatever the order of its points: of a window as high
+// as wide any noise changes that.
+struct LightForm {
+  glm::dvec3 mean{0};
+  glm::dmat3 spread{0};  // second moments about the mean
+};
+LightForm form_of(const lighting::DistantLight& source) {
+  LightForm out;
+  const auto points = static_cast<double>(source.shape.size());
+  if (source.shape.empty()) {  // an even disc
+    const glm::dvec3& d = source.direction;
+    const double r = source.radius.value();
+    out.mean = .5 * (1 + std::cos(r)) * d;
+    out.spread = .25 * std::pow(std::sin(r), 2) * (glm::dmat3(1) - glm::outerProduct(d, d));
+    return out;
+  }
+  for (const glm::dvec3& p : source.shape) out.mean += p / points;
+  for (const glm::dvec3& p : source.shape)
+    out.spread += glm::outerProduct(p - out.mean, p - out.mean) / points;
+  return out;
+}
+
+// How far the light of one form lies from that of the other, radians.
+double move_of(const LightForm& before, const LightForm& now) {
+  double square = 0, trace = 0;
+  for (int i = 0; i < 3; ++i) {
+    square += glm::dot(now.spread[i] - before.spread[i], now.spread[i] - before.spread[i]);
+    trace += before.spread[i][i];
+  }
+  return glm::distance(before.mean, now.mean) + std::sqrt(square / std::max(4 * trace, 1e-12));
 }
 
 // Of an open plane's light, what the light brings.
@@ -319,15 +344,25 @@ bool DirectLightStage::shade_new_hits(TracedLight& t, const OcclusionProbes& aro
   return any;
 }
 
-void DirectLightStage::trace(TracedLight& t, bool all, bool moves) {
+// What was hurried is traced well once nothing has moved for some updates: two eyes of a moment,
+// and views that come faster than poses, are no rest.
+bool DirectLightStage::settle(TracedLight& t) const {
+  bool any = false;
+  for (std::size_t i = 0; i < t.hurried.size(); ++i) {
+    std::uint8_t& left = t.hurried[i];
+    if (left > kDue && !may_have_changed(i, t.source)) --left;
+    any |= left == kDue;
+  }
+  return any;
+}
+
+void DirectLightStage::trace(TracedLight& t, bool all) {
   if (all) {  // else some of it stays as it was traced for the light that these tell
-    t.direction = t.source.direction;
-    t.shape = t.source.shape;
-    t.radius = t.source.radius.value();
+    t.as_traced = t.source;
   }
   around_.clear();
   memo_.clear();
-  const bool hurry = moves && !t.cosine.empty() && shadows::is_wide(t.source);
+  const bool known = !t.cosine.empty();
   t.hurried.resize(scene_->objects.size());
   t.cosine.resize(scene_->objects.size());
   t.edged.resize(scene_->objects.size());
@@ -338,8 +373,8 @@ void DirectLightStage::trace(TracedLight& t, bool all, bool moves) {
     }
     const PreparedObject& o = scene_->objects[i];
     around_.push_back({poses_[i] * spheres_[i].centre, kAround * spheres_[i].radius});
-    const bool settles = t.hurried[i] && !moves;
-    if (!all && !settles && !may_have_changed(i, t.source)) continue;
+    const bool moves = may_have_changed(i, t.source);
+    if (!all && !moves && t.hurried[i] != kDue) continue;
     changed_[i] = 1;
     t.cosine[i].resize(o.baked.mesh.positions.size());
     const prt::Plane own{poses_[i].translation, poses_[i].rotation * glm::dvec3(0, 1, 0), {}, {}};
@@ -349,14 +384,13 @@ void DirectLightStage::trace(TracedLight& t, bool all, bool moves) {
         virtual_casters_[i].visibility ? t.detail.object_samples : sampling_.object;
     const bool with_edges = t.source.id == with_edges_ && drawn_by_vertices(o);
     shadows::Caster lit = virtual_casters_[i];
-    lit.hurried = hurry && lit.visibility;
-    t.hurried[i] = lit.hurried;
+    lit.hurried = moves && known && lit.visibility && shadows::is_wide(t.source);
+    t.hurried[i] = lit.hurried ? kPatience : 0;
     shadows::trace_direct_light(all_rays(), casters(), lit, o.baked.receiver ? &own : nullptr,
                                 t.source, sampling, t.cosine[i],
                                 with_edges ? &t.edged[i] : nullptr);
     if (!with_edges) t.edged[i].open.clear(), t.edged[i].lit.clear();
   }
-  trace_planes(t);
 }
 
 // More at once, less only when a good deal less would do: a light at the limit must not change back
@@ -419,8 +453,8 @@ bool DirectLightStage::update(std::span<const lighting::DistantLight> lights,
     const auto known =
         std::ranges::find(before_, source.id, [](const TracedLight& t) { return t.source.id; });
     TracedLight t = known == before_.end() ? TracedLight{} : std::move(*known);
-    const double move =
-        std::max(angle_between(t.direction, source.direction), move_of(t.shape, source.shape));
+    const double move = std::max(angle_between(t.as_traced.direction, source.direction),
+                                 move_of(form_of(t.as_traced), form_of(source)));
     const double change =
         std::abs(luminance(source.irradiance()) - luminance(t.source.irradiance()));
     all_changed |= known == before_.end() || change > kVisibleFraction * mean_irradiance;
@@ -429,16 +463,16 @@ bool DirectLightStage::update(std::span<const lighting::DistantLight> lights,
     const bool fine = traced_.size() < fine_lights;
     const TracedDetail detail =
         detail_for(source, fine, {mean_irradiance, open_irradiance}, t.detail);
-    const bool anew = t.cosine.empty() ||
-                      move > kMinMove + std::min(.1 * source.radius.value(), kMaxMove) ||
-                      std::abs(t.radius - source.radius.value()) > .1 * source.radius.value() ||
-                      detail.object_samples > t.detail.object_samples ||
-                      detail.plane > t.detail.plane || detail.fine > t.detail.fine;
+    const bool anew =
+        t.cosine.empty() || move > kMinMove + std::min(.1 * source.radius.value(), kMaxMove) ||
+        std::abs((t.as_traced.radius - source.radius).value()) > .1 * source.radius.value() ||
+        detail.object_samples > t.detail.object_samples || detail.plane > t.detail.plane ||
+        detail.fine > t.detail.fine;
     if (anew) t.detail = detail;
-    // What was hurried while something moved is traced well once nothing does.
-    const bool settles = !poses_changed && std::ranges::find(t.hurried, 1) != t.hurried.end();
-    if (anew || poses_changed || settles) {
-      trace(t, anew, poses_changed);
+    const bool rests = settle(t);
+    if (anew || poses_changed || rests) {
+      trace(t, anew);
+      if (anew || poses_changed) trace_planes(t);
       changed = true;
     }
     if (!anew && change <= kVisibleFraction * mean_irradiance) {

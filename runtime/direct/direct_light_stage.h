@@ -109,12 +109,10 @@ class DirectLightStage {
   struct TracedLight {
     TracedDetail detail;            // as it was traced
     lighting::DistantLight source;  // as it is now
-    glm::dvec3 direction{0};        // as it was traced, and its form
-    lighting::DistantLight::Shape shape{};
-    double radius = 0;
-    std::vector<std::vector<float>> cosine;                 // by object, by vertex
-    std::vector<char> hurried;                              // by object: as shadows::Caster
-    std::vector<shadows::EdgedFractions> edged;             // by object
+    lighting::DistantLight as_traced;
+    std::vector<std::vector<float>> cosine;      // by object, by vertex
+    std::vector<std::uint8_t> hurried;           // by object: 0, or updates until it is traced well
+    std::vector<shadows::EdgedFractions> edged;  // by object
     std::vector<std::vector<std::uint8_t>> hit_shade;       // by object, by probe hit
     std::vector<std::uint32_t> hits_version;                // by object: of the hits that it shades
     std::vector<std::vector<shadows::ShadowMap>> on_plane;  // by plane, by group of objects
@@ -141,7 +139,8 @@ class DirectLightStage {
   void follow_forms();
   /// `all`: the light itself is new or has moved; otherwise only what objects that moved can have
   /// changed.
-  void trace(TracedLight& traced, bool all, bool moves);
+  bool settle(TracedLight& traced) const;
+  void trace(TracedLight& traced, bool all);
   bool shade_new_hits(TracedLight& traced, const OcclusionProbes& around, bool all);
   void trace_planes(TracedLight& traced);
   TracedDetail detail_for(const lighting::DistantLight& source, bool fine, const OpenLight& open,

@@ -14,6 +14,7 @@ namespace penumbra::runtime {
 namespace {
 
 constexpr int kVertexSamples = 4, kMapSamples = 8;
+constexpr float kVisible = .005f;  // change of what an emission of 1 sends
 
 shadows::Emitter emitter_of(const prt::LuminousPart& part, const prt::Mesh& mesh,
                             const Pose& world_from_mesh) {
@@ -33,7 +34,8 @@ shadows::Emitter emitter_of(const prt::LuminousPart& part, const prt::Mesh& mesh
 
 }  // namespace
 
-LampStage::LampStage(const PreparedScene& scene) : scene_(&scene) {
+LampStage::LampStage(const PreparedScene& scene)
+    : scene_(&scene), visible_(scene.objects.size(), 1) {
   for (const shadows::Lamp& lamp : scene.lamps) traced_.push_back({&lamp, 0, nullptr});
   for (std::size_t i = 0; i < scene.objects.size(); ++i)
     for (const prt::LuminousPart& part : scene.objects[i].luminous)
@@ -47,6 +49,12 @@ Rgb LampStage::power(const TracedLamp& t) const {
 
 void LampStage::trace(const shadows::RayOccluders& occluders, TracedLamp& t) const {
   std::optional<shadows::Emitter> emitter;
+  if (t.part && !visible_[t.object]) {
+    t.on_object.assign(poses_.size(), {});
+    t.on_plane.assign(scene_->planes.size(), {});
+    t.on_real.clear();
+    return;
+  }
   if (t.part) emitter = emitter_of(*t.part, scene_->objects[t.object].baked.mesh, poses_[t.object]);
   t.on_object.resize(poses_.size());
   for (std::size_t i = 0; i < poses_.size(); ++i) {
@@ -87,11 +95,12 @@ bool LampStage::update(const shadows::RayOccluders& occluders, std::span<const P
                        bool other_form, float emission_unit) {
   if (!any()) return false;
   const bool moved = !known_ || other_form || !std::ranges::equal(poses, poses_),
-             brighter = luminous_ && emission_unit != emission_unit_;
+             brighter = luminous_ && std::abs(emission_unit - emission_unit_) >
+                                         kVisible * std::max(emission_unit, emission_unit_);
   if (!moved && !brighter) return false;
   known_ = true;
   poses_.assign(poses.begin(), poses.end());
-  emission_unit_ = emission_unit;
+  if (brighter) emission_unit_ = emission_unit;
   if (moved)
     for (TracedLamp& t : traced_) trace(occluders, t);
   sum_on_real_mesh();

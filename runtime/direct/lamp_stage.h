@@ -20,9 +20,11 @@ class LampStage {
   explicit LampStage(const PreparedScene& scene);
 
   bool any() const { return !traced_.empty(); }
+  /// One that is not visible lights nothing. All are visible at first.
+  void show(std::size_t object, bool visible) { visible_[object] = visible; }
   /// emission_unit: radiance that an emission of 1 has
-  /// True when anything changed: at first, when an object has moved or taken another form, and with
-  /// another unit where something is luminous.
+  /// True when anything changed: at first, when an object has moved or taken another form, and when
+  /// the unit is half a percent another where something is luminous.
   bool update(const shadows::RayOccluders& occluders, std::span<const Pose> poses, bool other_form,
               float emission_unit);
 
@@ -51,6 +53,7 @@ class LampStage {
   void sum_on_real_mesh();
 
   const PreparedScene* scene_;
+  std::vector<char> visible_;
   std::vector<Pose> poses_;
   bool known_ = false, luminous_ = false;
   float emission_unit_ = 0;

@@ -126,7 +126,7 @@ double time_reading(int map_step) {
 // pi S_n around a ball that rests on a floor, in the world's frame: what stands on something real,
 // where no bake tells what it takes of the light there. Places like those that a bake keeps.
 std::vector<float> deficit_below_a_ball() {
-  constexpr int kPoints = 32, kAcross = 24;  // directions over half of what the ball hides
+  constexpr int kPoints = 32, kDirections = 576;
   std::vector<float> out;
   double basis[kMaxCoefficients];
   for (int i = 0; i < kPoints; ++i) {
@@ -136,7 +136,6 @@ std::vector<float> deficit_below_a_ball() {
     const double distance = glm::length(to), half = std::asin(1 / distance);
     const glm::dmat3 frame(prt::frame_around(glm::vec3(to / distance)));
     std::vector<double> row(kMaxCoefficients);
-    constexpr int kDirections = kAcross * kAcross;
     const double cap = 1 - std::cos(half);
     for (int k = 0; k < kDirections; ++k) {
       const double z = 1 - cap * (k + .5) / kDirections, r = std::sqrt(1 - z * z),
@@ -173,7 +172,8 @@ lighting::SceneProbes scene_probes(const PreparedScene& scene, int bands) {
     WorldRow on_floor(o.world_from_bake, kMaxBands);
     for (std::size_t i = 0; i < std::min(each, floor.points); ++i)
       on_floor.add(floor, 0, i, static_cast<float>(kPi), out.deficit);
-    if (floor.points == 0 && !stood_in) {
+    const bool any_below = out.has_floor || !scene.real_mesh.triangles.empty();
+    if (floor.points == 0 && any_below && !stood_in) {
       const std::vector<float> ball = deficit_below_a_ball();
       out.deficit.insert(out.deficit.end(), ball.begin(), ball.end());
       stood_in = true;

@@ -35,7 +35,7 @@ constexpr bool kOptimised = false;
 #endif
 
 std::string name_of(const PreparedScene& scene) {
-  constexpr int kVersion = 1;  // of what is measured
+  constexpr int kVersion = 2;  // of what is measured
   const std::string here = processor_name();
   Fnv1a h;
   h.add(kVersion).add(kOptimised).add(here.data(), here.size()).add(scene.planes.size());

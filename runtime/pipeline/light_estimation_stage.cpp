@@ -318,8 +318,8 @@ void LightEstimationStage::add_recoveries(
     const auto added = estimator_.add_recovery(c);
     if (added && c.is_guess)
       log_warning(
-          "light: the power of {} stays a lower bound: the floor tells what several saturated "
-          "lights send together, no shadow tells how much each does",
+          "light: the power of {} is a guess: the floor tells what several saturated lights send "
+          "together, no shadow tells how much each does",
           name);
     else if (added)
       log_info("light: the power of {} is recovered from the floor", name);

@@ -312,7 +312,24 @@ void find_luminous(PreparedObject& object) {
   if (object.baked.surface)
     object.luminous = prt::luminous_parts(object.baked.mesh, *object.baked.surface, kPoints);
   if (object.luminous.empty())
-    log_warning("{}: emission_lights: nothing of it emits light", object.name);
+    log_warning("{}: emission_lights: no material of it emits light, unlit ones apart",
+                object.name);
+}
+
+// Each costs as much as a lamp with many rays.
+void keep_strongest_luminous(PreparedScene& scene) {
+  constexpr std::size_t kMost = 16;
+  const auto power = [](const prt::LuminousPart& p) { return luminance(p.emission_m2); };
+  std::vector<float> powers;
+  for (const PreparedObject& o : scene.objects)
+    for (const prt::LuminousPart& p : o.luminous) powers.push_back(power(p));
+  if (powers.size() <= kMost) return;
+  std::ranges::nth_element(powers, powers.begin() + kMost, std::greater<>());
+  const float limit = powers[kMost];
+  for (PreparedObject& o : scene.objects)
+    std::erase_if(o.luminous, [&](const prt::LuminousPart& p) { return power(p) <= limit; });
+  log_warning("the scene has {} luminous materials, of which the {} strongest light what is around",
+              powers.size(), kMost);
 }
 
 // Shadows on real meshes live at their vertices.
@@ -387,6 +404,7 @@ Result<PreparedScene> prepare(
     prepared.instance = object.instance;
     out.objects.push_back(std::move(prepared));
   }
+  keep_strongest_luminous(out);
   if (out.real_mesh.triangles.empty() || out.objects.empty()) return out;
   prepare_receivers(out);
   PENUMBRA_TRY(bake_real(out, settings, progress("bake real geometry")));

@@ -219,6 +219,7 @@ void CompositeStage::place_objects(double seconds) {
     compositor_->show(objects_[i].handle, now.visible);
     compositor_->set_pose(objects_[i].handle, poses_[i]);
     lights_.show(i, now.visible);
+    lamps_.show(i, now.visible);
     lights_.set_pose(i, poses_[i]);
   }
 }
@@ -293,13 +294,13 @@ bool CompositeStage::shade(const lighting::LightEstimate& light, double seconds,
   if (lamps_.any()) {
     const StageTimer timer(times_, "lamps");
     lamps_changed = lamps_.update(lights_.occluders(), poses_, other_form, emission_unit(light));
-    lights_changed |= lamps_changed;
   }
   bool measured = false;
   if (real_.any()) {
     const StageTimer timer(times_, "real mesh");
     measured = real_.measure(light, lights_, lights_changed);
   }
+  lights_changed |= lamps_changed;
   lights_.shadows(planes_.irradiance(), on_planes_);
   lamps_.append(planes_.irradiance(), on_planes_);
   const bool first = !lit_before_;  // which has rounds enough of its own

@@ -325,7 +325,7 @@ bool FloorRecovery::differs_from_said(const std::vector<lighting::SaturationReco
       return std::abs(luminance(c.power) - had) <= kMinChange * std::max(had, others);
     }
     const auto before = std::ranges::find(said_, c.source, &lighting::SaturationRecovery::source);
-    if (before == said_.end()) return false;
+    if (before == said_.end() || (before->is_guess && !c.is_guess)) return false;
     const float was = luminance(before->power);
     return std::abs(luminance(c.power) - was) <= kMinChange * was;
   });

@@ -44,7 +44,7 @@ struct penumbra_distant_light {
   float solid_angle_sr;
   float radiance[3];     // mean, above the residual; times solid_angle_sr it is the irradiance
   uint32_t clipped;      // 1: saturated in every exposure
-  uint32_t lower_bound;  // 1: it sends at least this radiance
+  uint32_t lower_bound;  // 1: it sends at least this radiance, or this is a guessed share
 };
 
 struct penumbra_light {

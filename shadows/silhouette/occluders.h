@@ -42,7 +42,7 @@ struct Caster {
   const SilhouetteMesh* silhouette;  // of the mesh as it is, or simplified (for planes)
   Pose world_from_mesh;
   const prt::VisibilityLookup* visibility = nullptr;  // of the mesh as it is; null: not known
-  /// The light on it will be another in the next frame: no time is spent on grain.
+  /// It or what is beside it moves: no time is spent on grain.
   bool hurried = false;
 };
 

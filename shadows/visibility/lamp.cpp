@@ -19,7 +19,7 @@ namespace {
 
 constexpr int kMapNodes = 129;
 constexpr double kReach = 5;  // lamp heights
-constexpr float kFade = .2f;  // of the half extent
+constexpr double kFade = .2;  // of what the map reaches beyond the light
 constexpr std::size_t kStrideAtVertices = 4;
 
 // Points of the lamp's face as a surface point sees it: a light across the line of visibility.
@@ -72,6 +72,8 @@ class EmitterFace {
            const glm::vec3& normal) const {
     const std::size_t points = emitter_.positions.size(), first = index % stride_,
                       asked = (points - first + stride_ - 1) / stride_;
+    const float point_m2 =
+        emitter_.point_m2 * static_cast<float>(points) / static_cast<float>(asked);
     for (std::size_t k = first; k < points; k += stride_) {
       const glm::vec3 way = emitter_.positions[k] - from;
       const float length = std::max(glm::length(way), 1e-6f);
@@ -80,7 +82,7 @@ class EmitterFace {
                   sent = emitter_.double_sided ? std::abs(along) : along;
       const float far = length - 2 * near_;  // short of the surface itself
       if (cosine <= 0 || sent <= 0 || far <= 0) continue;
-      const float apart = length * length + emitter_.point_m2 / static_cast<float>(kPi);
+      const float apart = length * length + point_m2 / static_cast<float>(kPi);
       packets.add(index, cosine * sent / (apart * static_cast<float>(asked)), from, d, far);
     }
   }
@@ -130,10 +132,11 @@ void trace_vertices(const RayOccluders& occluders, const prt::Mesh& mesh,
       out);
 }
 
-// The square below `centre` that reaches `half` metres; faded to 0 at its rim, and 0..1.
+// The square below `centre` that reaches `half` metres, `inner` of them below the light itself;
+// faded to 0 at its rim, and 0..1.
 template <class Face>
 float trace_map(const RayOccluders& occluders, const prt::Plane& plane, const glm::dvec3& centre,
-                double half, const Face& face, ShadowMap& out) {
+                double half, double inner, const Face& face, ShadowMap& out) {
   const double height = glm::dot(centre - plane.point, plane.normal);
   const glm::dquat frame = glm::rotation(glm::dvec3(0, 1, 0), plane.normal);
   const double cell = 2 * half / (kMapNodes - 1);
@@ -157,11 +160,12 @@ float trace_map(const RayOccluders& occluders, const prt::Plane& plane, const gl
     return 0;
   }
   constexpr float kMiddle = (kMapNodes - 1) / 2.f;
+  const auto fade = static_cast<float>(kFade * (1 - inner / half));
   for (int j = 0; j < kMapNodes; ++j)
     for (int i = 0; i < kMapNodes; ++i) {
       const float r = std::hypot(static_cast<float>(i) - kMiddle, static_cast<float>(j) - kMiddle) /
                       kMiddle,
-                  t = std::clamp((1 - r) / kFade, 0.f, 1.f);
+                  t = std::clamp((1 - r) / fade, 0.f, 1.f);
       out.virtual_occlusion.at(i, j) *= t * t * (3 - 2 * t) / largest;
     }
   return largest;
@@ -208,7 +212,8 @@ float trace_lamp_map(const RayOccluders& occluders, const prt::Plane& plane, con
   clear(out);
   const double height = glm::dot(lamp.position - plane.point, plane.normal);
   if (!(height > lamp.radius_m)) return 0;
-  return trace_map(occluders, plane, lamp.position, kReach * height, LampFace(lamp, samples), out);
+  return trace_map(occluders, plane, lamp.position, kReach * height, 0, LampFace(lamp, samples),
+                   out);
 }
 
 void trace_emitter_points(const RayOccluders& occluders, std::span<const glm::vec3> positions,
@@ -229,7 +234,7 @@ float trace_emitter_map(const RayOccluders& occluders, const prt::Plane& plane,
   clear(out);
   const EmitterPlace place = place_of(emitter, plane);
   if (!(place.top > 0)) return 0;
-  return trace_map(occluders, plane, place.centre, kReach * place.top + place.radius,
+  return trace_map(occluders, plane, place.centre, kReach * place.top + place.radius, place.radius,
                    EmitterFace(emitter, occluders.near_m, 1), out);
 }
 

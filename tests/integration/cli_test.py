@@ -744,6 +744,8 @@ class Tonemap(CliTest):
         folder.mkdir()
         for k in range(8):
             files.write_card_hdr(folder / f"p{k}.hdr", 64, 32, 0.25, 1.0 if k % 2 else 2.0)
+        (folder / "preview.jpg").write_bytes(b"no picture at all")
+        (folder / ".hidden.hdr").write_bytes(b"neither")
 
         def swing_of_card(*options):
             out = self.root / "calm"
@@ -765,6 +767,7 @@ class Tonemap(CliTest):
         self.assertFalse(video.exists())
         self.expect_refusal(["even.hdr", "name"], "tonemap", even, even, "-o", self.root / "twice")
         self.expect_refusal(["--gain-map", "single"], "tonemap", even, even, "-o", video, "--gain-map")
+        self.expect_refusal(["shown.png", "folder"], "tonemap", even, even, "-o", self.root / "shown.png")
         (self.root / "none").mkdir()
         self.expect_refusal(["none", "no HDR pictures"], "tonemap", self.root / "none", "-o", video)
 

@@ -178,7 +178,6 @@ TEST(Peeling, TheRestIsProjectedAsACopyOfItWouldBe) {
   EXPECT_LT(luminance(patched->light[0]), .5f * luminance(all->light[0]));
 }
 
-// In float the square of a faint sun's radiance is nothing, and that of an absurd one no number.
 // A square of sky, seen through a window: its corners are a fifth farther out than the rim of a
 // round light.
 TEST(Peeling, ALargeWindowKeepsItsCorners) {
@@ -208,6 +207,7 @@ TEST(Peeling, ALargeWindowKeepsItsCorners) {
   EXPECT_TRUE(split.lights[0].shape.empty()) << "nobody sees the corners of a small one";
 }
 
+// In float the square of a faint sun's radiance is nothing, and that of an absurd one no number.
 TEST(Peeling, ASourceIsAsWideInAnyUnit) {
   const Image<Rgb> map = with_sun(noise(64, 32, 1), 1e4f);
   LightExtraction split;

@@ -252,7 +252,7 @@ TEST(ReferenceIrradiance, WhatStandsOnTheFloorSeesNothingBelowIt) {
   }));
   ReferenceWorld world = world_of({}, light);
   world.planes.push_back({{0, 0, 0}, {0, 1, 0}, kBlack, {}});
-  for (const double height : {0., 1e-7, 1e-3}) {
+  for (const double height : {-1e-7, 0., 1e-7, 1e-3}) {
     const auto e = irradiance_at(world, {{{0, height, 0}, {0, 0, 1}}}, 4096);
     EXPECT_NEAR(e[0].g, kPi / 2, .02 * kPi) << height;
   }

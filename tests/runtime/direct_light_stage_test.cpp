@@ -391,7 +391,8 @@ TEST(DirectLightStage, WhatWasHurriedIsTracedWellOnceAllRests) {
   update(*fresh, last);
   EXPECT_TRUE(update(*kept, last));
   EXPECT_NE(light_on(*kept, scene, 1), light_on(*fresh, scene, 1));
-  EXPECT_TRUE(update(*kept, last));
+  EXPECT_FALSE(update(*kept, last)) << "the other eye, or a view before the next pose";
+  for (int frame = 0; frame < 8; ++frame) update(*kept, last);
   EXPECT_EQ(light_on(*kept, scene, 1), light_on(*fresh, scene, 1));
   EXPECT_FALSE(update(*kept, last)) << "nothing is left to do";
 }

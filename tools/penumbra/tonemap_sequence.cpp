@@ -1,6 +1,7 @@
 #include "tools/penumbra/tonemap_sequence.h"
 
 #include <fmt/format.h>
+#include <string.h>  // strverscmp
 
 #include <algorithm>
 #include <glm/ext/vector_int2.hpp>
@@ -13,6 +14,7 @@
 #include "codec/tone/temporal_tone.h"
 #include "compositor/composite/compositor.h"
 #include "core/io/files.h"
+#include "core/io/log.h"
 #include "core/units.h"
 #include "tools/common/progress.h"
 
@@ -22,12 +24,21 @@ namespace fs = std::filesystem;
 
 namespace {
 
+bool names_a_file(const fs::path& path) {
+  constexpr std::string_view kFiles[] = {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".exr",
+                                         ".hdr", ".mov", ".mkv",  ".avi", ".webm", ".gif"};
+  return std::ranges::find(kFiles, lower_extension(path)) != std::end(kFiles);
+}
+
 // Where shown pictures go: a video, or a file each.
 class ShownPictures {
  public:
   static Result<ShownPictures> create(const ToneSequence& sequence) {
     ShownPictures out(sequence);
     if (!out.is_video()) {
+      if (names_a_file(sequence.output))
+        return fail(ErrorCode::kInvalid, sequence.output.string(),
+                    "is one picture: several go to a video, .mp4, or to a folder");
       PENUMBRA_TRY(out.check_names());
       PENUMBRA_TRY(make_folder(sequence.output));
     }
@@ -73,16 +84,19 @@ class ShownPictures {
 }  // namespace
 
 Result<std::vector<fs::path>> pictures_of(const fs::path& path) {
-  constexpr std::string_view kExtensions[] = {".exr", ".hdr", ".jph", ".jp2", ".jpg", ".jpeg"};
+  constexpr std::string_view kExtensions[] = {".exr", ".hdr", ".jph", ".jp2"};
   std::error_code error;
   if (!fs::is_directory(path, error)) return std::vector{path};
   std::vector<fs::path> out;
   for (const auto& entry : fs::directory_iterator(path, error))
-    if (std::ranges::find(kExtensions, lower_extension(entry.path())) != std::end(kExtensions))
+    if (!entry.path().filename().string().starts_with('.') &&
+        std::ranges::find(kExtensions, lower_extension(entry.path())) != std::end(kExtensions))
       out.push_back(entry.path());
   if (error) return fail(ErrorCode::kUnreadable, path.string(), error.message());
   if (out.empty()) return fail(ErrorCode::kNotFound, path.string(), "holds no HDR pictures");
-  std::ranges::sort(out);
+  std::ranges::sort(out, [](const fs::path& a, const fs::path& b) {
+    return ::strverscmp(a.filename().c_str(), b.filename().c_str()) < 0;  // 9 before 10
+  });
   return out;
 }
 
@@ -90,6 +104,7 @@ Result<void> tonemap_sequence(const ToneSequence& sequence) {
   PENUMBRA_ASSIGN(shown, ShownPictures::create(sequence));
   tone::TemporalTone tone(sequence.tone, Seconds(sequence.adaptation_s));
   const auto progress = progress_bar("tonemap");
+  std::size_t negative = 0;
   for (std::size_t i = 0; i < sequence.pictures.size(); ++i) {
     const fs::path& path = sequence.pictures[i];
     PENUMBRA_ASSIGN(read, codec::read_hdr(path));
@@ -99,9 +114,11 @@ Result<void> tonemap_sequence(const ToneSequence& sequence) {
       return fail(mapped.error().code,
                   mapped.error().where == "picture" ? path.string() : mapped.error().where,
                   mapped.error().detail);
+    negative += mapped->statistics.negative;
     PENUMBRA_TRY(shown.add(path, mapped->pixels));
     progress(static_cast<double>(i + 1) / static_cast<double>(sequence.pictures.size()));
   }
+  if (negative > 0) log_warning("{} pixels have components below 0, which count as 0", negative);
   return shown.finish();
 }
 

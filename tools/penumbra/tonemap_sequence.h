@@ -19,11 +19,12 @@ struct ToneSequence {
   double adaptation_s = .4;  // time constant, 0 for each picture by itself
 };
 
-/// The HDR pictures of a folder, in the order of their names; a file is itself.
+/// The HDR pictures of a folder, but for JPEGs, which may be ordinary ones, in the order of their
+/// names, numbers by their value; a file is itself.
 /// errors: kNotFound (a folder without any)
 Result<std::vector<std::filesystem::path>> pictures_of(const std::filesystem::path& path);
 
-/// A progress bar tells how far it is.
+/// A progress bar tells how far it is. Pictures before one that fails stay, a video does not.
 /// errors: kInvalid (sizes that differ, two pictures of one name), what reading, mapping and
 /// writing say
 Result<void> tonemap_sequence(const ToneSequence& sequence);

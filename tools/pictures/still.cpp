@@ -25,12 +25,10 @@ glm::dvec3 ray_of(const calib::CameraModel& lens, glm::dvec2 px) {
   return calib::direction_from_pixel(lens, px).value_or(glm::dvec3(0));
 }
 
-// Radiance of white paper that lies in the light, as runtime/shading/mirrored_surroundings.cpp.
+// Radiance of white paper that lies in the light, as runtime::emission_unit() has it.
 float emission_unit(const StillScene& in, const std::optional<lighting::LightEstimate>& light) {
-  const glm::dvec3 up(0, 1, 0);
-  const Rgb e = light ? lighting::evaluate(lighting::irradiance(lighting::whole_light(*light)), up)
-                      : exact_irradiance(*in.environment, up);
-  return std::max(0.f, luminance(e)) * static_cast<float>(1 / kPi);
+  if (light) return runtime::emission_unit(*light);
+  return luminance(exact_irradiance(*in.environment, {0, 1, 0})) * static_cast<float>(1 / kPi);
 }
 
 }  // namespace

@@ -9,10 +9,10 @@
 
 #include "core/image.h"
 #include "core/result.h"
+#include "prt/geometry/local_material.h"
 #include "prt/geometry/plane.h"
 #include "prt/rays/rays.h"
 #include "prt/reference/internal/path_numbers.h"
-#include "prt/geometry/local_material.h"
 #include "prt/reference/materials.h"
 #include "prt/reference/reference.h"
 
