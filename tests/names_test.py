@@ -109,7 +109,7 @@ TABLES = {
             f"{REPORT}: json to_json(const ProcessorTimes&"],
         "render": ["tools/penumbra/command_render.cpp: print_json("],
         "record": [f"{RECORD} > return"],
-        "tonemap": [TONEMAP, TONEMAP + "{{\"operator\", o.op}, {\"pictures\""],
+        "tonemap": [TONEMAP + " + pictures"],
         "encode": ['tools/penumbra/command_encode.cpp: print_json({{"width", pixels'],
         "decode": ['tools/penumbra/command_encode.cpp: print_json({{"width", input'],
         "bake": [BAKE, CLIP + ': print_json({{"clip" - ' + BAKE],
