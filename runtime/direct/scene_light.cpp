@@ -3,6 +3,7 @@
 #include <algorithm>
 
 #include "core/conventions.h"
+#include "lighting/estimate.h"
 #include "lighting/lights/distant_light.h"
 #include "lighting/sh/basis.h"
 #include "lighting/sh/irradiance.h"
