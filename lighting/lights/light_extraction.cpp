@@ -20,7 +20,8 @@ namespace {
 constexpr float kAboveMean = 6;     // a source is brighter than this times the mean of the rest
 constexpr float kStep = 300;        // regions with a larger range than this are peeled core first
 constexpr double kRoundness = 1.2;  // of a 1.8:1 rectangle
-constexpr double kOneSource = .02;  // radians
+constexpr double kRoundnessOfLarge = 1.03;  // of a square 1.05
+constexpr double kOneSource = .02;          // radians
 constexpr double kLarge = .03;  // steradians, 11 degrees across: of larger ones corners are seen
 constexpr double kSmall = .01;  // radians: the form of smaller sources cannot be seen in a shadow
 constexpr float kCoreLevel = .01f;  // of the peak: where the core of such a region ends
@@ -396,7 +397,8 @@ DistantLight::Shape LightExtractor::shape_of(const RegionCut& c) const {
   // Mean square distance from the centre; of an even light of that solid angle: a^2/2 with pi a^2 =
   // the solid angle.
   const double spread = 2 - 2 * glm::dot(c.moment, c.centre) / c.flux;
-  const bool is_round = c.solid_angle < kLarge && spread < kRoundness * c.solid_angle / (2 * kPi);
+  const double roundness = c.solid_angle < kLarge ? kRoundness : kRoundnessOfLarge;
+  const bool is_round = spread < roundness * c.solid_angle / (2 * kPi);
   if (is_round || spread < kSmall * kSmall) return {};
   std::pmr::vector<EnergyPiece> pieces = fractions_of(c);
   return shape_points(pieces);

@@ -468,7 +468,10 @@ bool DirectLightStage::update(std::span<const lighting::DistantLight> lights,
         std::abs((t.as_traced.radius - source.radius).value()) > .1 * source.radius.value() ||
         detail.object_samples > t.detail.object_samples || detail.plane > t.detail.plane ||
         detail.fine > t.detail.fine;
-    if (anew) t.detail = detail;
+    if (anew)
+      t.detail = detail;
+    else  // what moves is traced in the form that all else was traced for
+      t.source.shape = t.as_traced.shape;
     const bool rests = settle(t);
     if (anew || poses_changed || rests) {
       trace(t, anew);

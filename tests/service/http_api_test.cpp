@@ -388,7 +388,7 @@ TEST(HttpApi, ANewObjectPlaceIsInTheNextFrame) {
   EXPECT_EQ(add(R"({"name": "other", "assett": "builtin:box"})"), 400);
   EXPECT_EQ(add(R"({"name": "other", "asset": "builtin:box", "emission_lights": 1})"), 400);
   EXPECT_EQ(add(R"({"name": "other", "asset": "builtin:box", "position_m": [0.3, 0, 0],
-                    "size_m": 0.2})"),
+                    "size_m": 0.2, "emission_lights": true})"),
             202);
   while (keeper.is_busy()) ::usleep(10'000);
   EXPECT_FALSE(drawn() == at_first);
