@@ -357,9 +357,7 @@ bool DirectLightStage::settle(TracedLight& t) const {
 }
 
 void DirectLightStage::trace(TracedLight& t, bool all) {
-  if (all) {  // else some of it stays as it was traced for the light that these tell
-    t.as_traced = t.source;
-  }
+  if (all) t.as_traced = t.source;  // else some of it stays as it was traced for that light
   around_.clear();
   memo_.clear();
   const bool known = !t.cosine.empty();

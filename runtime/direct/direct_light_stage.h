@@ -137,9 +137,10 @@ class DirectLightStage {
   /// Building a moved mesh for rays takes a millisecond, which a frame without lights need not
   /// spend.
   void follow_forms();
+  /// True where something that was hurried is due to be traced well.
+  bool settle(TracedLight& traced) const;
   /// `all`: the light itself is new or has moved; otherwise only what objects that moved can have
   /// changed.
-  bool settle(TracedLight& traced) const;
   void trace(TracedLight& traced, bool all);
   bool shade_new_hits(TracedLight& traced, const OcclusionProbes& around, bool all);
   void trace_planes(TracedLight& traced);

@@ -316,20 +316,34 @@ void find_luminous(PreparedObject& object) {
                 object.name);
 }
 
-// Each costs as much as a lamp with many rays.
+// Each costs as much as a lamp with many rays. Of equal ones the first stay.
 void keep_strongest_luminous(PreparedScene& scene) {
   constexpr std::size_t kMost = 16;
-  const auto power = [](const prt::LuminousPart& p) { return luminance(p.emission_m2); };
   std::vector<float> powers;
   for (const PreparedObject& o : scene.objects)
-    for (const prt::LuminousPart& p : o.luminous) powers.push_back(power(p));
+    for (const prt::LuminousPart& p : o.luminous) powers.push_back(luminance(p.emission_m2));
   if (powers.size() <= kMost) return;
-  std::ranges::nth_element(powers, powers.begin() + kMost, std::greater<>());
-  const float limit = powers[kMost];
-  for (PreparedObject& o : scene.objects)
-    std::erase_if(o.luminous, [&](const prt::LuminousPart& p) { return power(p) <= limit; });
-  log_warning("the scene has {} luminous materials, of which the {} strongest light what is around",
-              powers.size(), kMost);
+  const auto weakest = powers.begin() + kMost - 1;
+  std::ranges::nth_element(powers, weakest, std::greater<>());
+  const float limit = *weakest;
+  auto equal_left = static_cast<std::size_t>(std::count(powers.begin(), weakest + 1, limit));
+  const auto is_too_weak = [&](const prt::LuminousPart& p) {
+    const float power = luminance(p.emission_m2);
+    if (power != limit) return power < limit;
+    return equal_left == 0 || (--equal_left, false);
+  };
+  for (PreparedObject& o : scene.objects) {
+    std::vector<prt::LuminousPart> kept;
+    for (prt::LuminousPart& p : o.luminous)
+      if (is_too_weak(p))
+        log_warning(
+            "{}: material {}: its emission lights nothing: {} others of the scene are "
+            "stronger",
+            o.name, p.material, kMost);
+      else
+        kept.push_back(std::move(p));
+    o.luminous = std::move(kept);
+  }
 }
 
 // Shadows on real meshes live at their vertices.

@@ -154,6 +154,22 @@ TEST(SceneProbes, ASceneOfNothingTellsNothing) {
   EXPECT_FALSE(none.has_floor || none.tell_of_bands());
 }
 
+// What stands on a real mesh has no bake of its shadow: a ball on a floor stands in for it, which
+// takes h/d^3 of an even sky (radius and height 1, d from the place to its middle).
+TEST(SceneProbes, ABallStandsInWhereNoBakeTellsOfTheShadow) {
+  PreparedScene scene = box_scene();
+  scene.objects[0].baked.shadow_probes = {};
+  const lighting::SceneProbes probes = scene_probes(scene, 5);
+  ASSERT_EQ(probes.floor_points(), 32u);
+  for (std::size_t p = 0; p < probes.floor_points(); ++p) {
+    const double away = .6 + 1.8 * (static_cast<double>(p) + .5) / 32,
+                 taken = kPi / std::pow(1 + away * away, 1.5);
+    EXPECT_NEAR(probes.deficit[kMaxCoefficients * p] * std::sqrt(4 * kPi), taken, .01 * taken) << p;
+  }
+  scene.planes.clear();
+  EXPECT_EQ(scene_probes(scene, 5).floor_points(), 0u) << "nothing is below";
+}
+
 TEST(SceneProbes, WhatFloatsNeedsAllDirections) {
   PreparedScene scene = box_scene();
   scene.objects[0].baked.receiver.reset();

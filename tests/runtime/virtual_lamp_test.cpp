@@ -167,6 +167,28 @@ TEST(VirtualLamp, CompositeFollowsTheWorldWithALuminousObjectInIt) {
   EXPECT_GT(relative_rms(*naive, *truth, of_twist->object), .05);
 }
 
+// Of more luminous things than are traced the strongest light, of equal ones as many as may.
+TEST(VirtualLamp, OfManyLuminousThingsSixteenLight) {
+  const test::TempFolder folder;
+  const auto file = folder.path() / "sign.glb";
+  test::emissive_sign().write_glb(file);
+  Scene world{{}, {test::grey_plane()}};
+  for (int i = 0; i < 18; ++i) {
+    SceneObject sign;
+    sign.name = "sign " + std::to_string(i);
+    sign.asset = file.string();
+    sign.position = {i, 0, 0};
+    sign.coarse = true;
+    sign.emission_lights = true;
+    world.objects.push_back(sign);
+  }
+  const auto scene = test::prepared(world);
+  ASSERT_TRUE(scene);
+  std::size_t parts = 0;
+  for (const PreparedObject& o : scene->objects) parts += o.luminous.size();
+  EXPECT_EQ(parts, 16u);
+}
+
 // A lamp among real things and nothing virtual that could cast a shadow: no light comes from the
 // real mesh, and nothing stops.
 TEST(VirtualLamp, WithoutAnObjectARealMeshIsNoReasonToStop) {
