@@ -82,7 +82,7 @@ struct CosineSums {
 /// Directions to look into, other ones for each of `turns` vertices that follow each other.
 class VisibilitySamples {
  public:
-  static constexpr std::size_t kMax = 16, kFew = 8;  // a vertex
+  static constexpr std::size_t kMax = 16, kFew = 8;  // at once; a vertex looks into so many or more
 
   /// threads: thread-bound; memory grows once
   /// in: cells kCells, or kFineCells: half as blurred, and slower; each a multiple of kMax, or in

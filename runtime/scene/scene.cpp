@@ -338,7 +338,7 @@ void keep_strongest_luminous(PreparedScene& scene) {
       if (is_too_weak(p))
         log_warning(
             "{}: material {}: its emission lights nothing: {} others of the scene are "
-            "stronger",
+            "as strong or stronger",
             o.name, p.material, kMost);
       else
         kept.push_back(std::move(p));

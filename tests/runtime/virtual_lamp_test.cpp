@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <optional>
 
 #include "capture/capture.h"
 #include "core/conventions.h"
@@ -92,6 +93,21 @@ double relative_rms(const Still& a, const Still& truth, const std::vector<bool>&
   return std::sqrt(square / count) / (mean / count);
 }
 
+// A scene as it really is, as it is composited, and without its lights of its own.
+struct BesideTheTruth {
+  Still truth, ours, naive;
+};
+std::optional<BesideTheTruth> beside_the_truth(const StillScene& in, const PreparedScene& unlit) {
+  const auto empty = render_real(in, .01, {}),
+             truth = render_reference(in, true, .006, std::nullopt, {});
+  const auto light = lighting::estimate_map(*in.environment, {});
+  if (!empty || !truth || !light) return std::nullopt;
+  const auto ours = render_composite(in, *light, *empty),
+             naive = render_composite({&unlit, in.environment, in.view}, *light, *empty);
+  if (!ours || !naive) return std::nullopt;
+  return BesideTheTruth{*truth, *ours, *naive};
+}
+
 // A world in which the lamp really hangs beside the object, low over a dim floor so that it is most
 // of the light.
 TEST(VirtualLamp, CompositeFollowsTheWorldWithTheLampInIt) {
@@ -108,21 +124,18 @@ TEST(VirtualLamp, CompositeFollowsTheWorldWithTheLampInIt) {
   const auto masks = make_masks(*unlit, view);
   if (!masks && masks.error().code == ErrorCode::kUnavailable)
     GTEST_SKIP() << "no OpenGL ES 3.1 here: " << masks.error().detail;
-  const auto empty = render_real(in, .01, {}),
-             truth = render_reference(in, true, .006, std::nullopt, {});
-  const auto light = lighting::estimate_map(map, {});
-  ASSERT_TRUE(masks && empty && truth && light);
-  const auto ours = render_composite(in, *light, *empty),
-             naive = render_composite({&*unlit, &map, view}, *light, *empty);
-  ASSERT_TRUE(ours && naive);
+  ASSERT_TRUE(masks);
+  const auto shown = beside_the_truth(in, *unlit);
+  ASSERT_TRUE(shown);
+  const auto& [truth, ours, naive] = *shown;
   std::printf("lamp: floor %.3f (without %.3f), object %.2f %% (without %.2f %%)\n",
-              relative_rms(*ours, *truth, masks->floor), relative_rms(*naive, *truth, masks->floor),
-              100 * relative_rms(*ours, *truth, masks->object),
-              100 * relative_rms(*naive, *truth, masks->object));
-  EXPECT_LT(relative_rms(*ours, *truth, masks->floor), .03);
-  EXPECT_GT(relative_rms(*naive, *truth, masks->floor), .2);
-  EXPECT_LT(relative_rms(*ours, *truth, masks->object), .05);
-  EXPECT_GT(relative_rms(*naive, *truth, masks->object), .2);
+              relative_rms(ours, truth, masks->floor), relative_rms(naive, truth, masks->floor),
+              100 * relative_rms(ours, truth, masks->object),
+              100 * relative_rms(naive, truth, masks->object));
+  EXPECT_LT(relative_rms(ours, truth, masks->floor), .03);
+  EXPECT_GT(relative_rms(naive, truth, masks->floor), .2);
+  EXPECT_LT(relative_rms(ours, truth, masks->object), .05);
+  EXPECT_GT(relative_rms(naive, truth, masks->object), .2);
 }
 
 // A sign that shines, with the light that it throws on the floor and on what stands beside it.
@@ -150,21 +163,18 @@ TEST(VirtualLamp, CompositeFollowsTheWorldWithALuminousObjectInIt) {
   const auto masks = make_masks(*scene, view), of_twist = make_masks(*beside, view);
   if (!masks && masks.error().code == ErrorCode::kUnavailable)
     GTEST_SKIP() << "no OpenGL ES 3.1 here: " << masks.error().detail;
-  const auto empty = render_real(in, .01, {}),
-             truth = render_reference(in, true, .006, std::nullopt, {});
-  const auto light = lighting::estimate_map(map, {});
-  ASSERT_TRUE(masks && of_twist && empty && truth && light);
-  const auto ours = render_composite(in, *light, *empty),
-             naive = render_composite({&*without, &map, view}, *light, *empty);
-  ASSERT_TRUE(ours && naive);
+  ASSERT_TRUE(masks && of_twist);
+  const auto shown = beside_the_truth(in, *without);
+  ASSERT_TRUE(shown);
+  const auto& [truth, ours, naive] = *shown;
   std::printf("sign: floor %.3f (without %.3f), the twist beside it %.2f %% (without %.2f %%)\n",
-              relative_rms(*ours, *truth, masks->floor), relative_rms(*naive, *truth, masks->floor),
-              100 * relative_rms(*ours, *truth, of_twist->object),
-              100 * relative_rms(*naive, *truth, of_twist->object));
-  EXPECT_LT(relative_rms(*ours, *truth, masks->floor), .015);
-  EXPECT_GT(relative_rms(*naive, *truth, masks->floor), .03);
-  EXPECT_LT(relative_rms(*ours, *truth, of_twist->object), .04);
-  EXPECT_GT(relative_rms(*naive, *truth, of_twist->object), .05);
+              relative_rms(ours, truth, masks->floor), relative_rms(naive, truth, masks->floor),
+              100 * relative_rms(ours, truth, of_twist->object),
+              100 * relative_rms(naive, truth, of_twist->object));
+  EXPECT_LT(relative_rms(ours, truth, masks->floor), .015);
+  EXPECT_GT(relative_rms(naive, truth, masks->floor), .03);
+  EXPECT_LT(relative_rms(ours, truth, of_twist->object), .04);
+  EXPECT_GT(relative_rms(naive, truth, of_twist->object), .05);
 }
 
 // Of more luminous things than are traced the strongest light, of equal ones as many as may.
