@@ -5,17 +5,29 @@ namespace penumbra::service {
 // How sure a pose is no runtime tells; these are the figures of a good inside-out tracker.
 std::optional<capture::FramePose> HeadPoses::pose_of(const capture::Frame& frame) {
   constexpr double kSigma_m = .001, kSigma_rad = .002;
+  constexpr double kSigmaUntracked_m = .1;  // of a sitting person's head
   const auto head = headset_->head_at(frame.time);
   const std::scoped_lock lock(mutex_);
   asked_ = frame.time;
+  if (head && head->position_tracked) place_tracked_ = true;
   // What the runtime makes up while it does not see would let objects drift.
-  if (!head || !head->position_tracked || !head->rotation_tracked) {
+  if (!head || !head->rotation_tracked ||
+      (!head->position_tracked && !follows_turns_alone(frame.time))) {
     ++missed_;
     return std::nullopt;
   }
   ++taken_;
   last_ = frame.time;
-  return capture::FramePose{head->world_from_device, kSigma_m, kSigma_rad, Seconds(0)};
+  return capture::FramePose{head->world_from_device,
+                            head->position_tracked ? kSigma_m : kSigmaUntracked_m, kSigma_rad,
+                            Seconds(0)};
+}
+
+bool HeadPoses::follows_turns_alone(TimestampNs time) {
+  constexpr Seconds kPatience(2);  // in which a tracker finds its place
+  if (place_tracked_) return false;
+  if (!untracked_since_) untracked_since_ = time;
+  return time - *untracked_since_ >= kPatience;
 }
 
 capture::PoseSourceState HeadPoses::state() const {
@@ -27,6 +39,8 @@ capture::PoseSourceState HeadPoses::state() const {
   out.taken = taken_;
   out.refused = missed_;
   out.trouble = headset.trouble;
+  if (out.trouble.empty() && untracked_since_ && !place_tracked_)
+    out.trouble = "the headset does not track where it is, only how it is turned";
   return out;
 }
 

@@ -2,14 +2,19 @@
 // threads: as capture::PoseSource
 #pragma once
 
+#include <cstdint>
 #include <memory>
 #include <mutex>
+#include <optional>
 
 #include "capture/poses/pose_source.h"
 #include "service/headset/headset.h"
 
 namespace penumbra::service {
 
+/// A headset that only turns gives a place, too, but does not track it. That place is taken where
+/// none was ever tracked within the first two seconds of frames, and state() says so; a place that
+/// is lost for a while is not.
 class HeadPoses : public capture::PoseSource {
  public:
   explicit HeadPoses(std::shared_ptr<const Headset> headset) : headset_(std::move(headset)) {}
@@ -19,9 +24,13 @@ class HeadPoses : public capture::PoseSource {
 
  private:
   std::shared_ptr<const Headset> headset_;
+  bool follows_turns_alone(TimestampNs time);
+
   mutable std::mutex mutex_;
   std::uint64_t taken_ = 0, missed_ = 0;  // guarded by mutex_, as is all below
   std::optional<TimestampNs> last_, asked_;
+  std::optional<TimestampNs> untracked_since_;  // the place alone, and never tracked before
+  bool place_tracked_ = false;                  // it was at least once
 };
 
 }  // namespace penumbra::service

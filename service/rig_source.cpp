@@ -6,6 +6,7 @@
 #include "capture/studio/studio.h"
 #include "runtime/pipeline/light_file.h"
 #include "runtime/studio/studio_setup.h"
+#include "service/played_source.h"
 #include "service/still_environment.h"
 
 namespace penumbra::service {
@@ -80,7 +81,7 @@ Result<std::unique_ptr<StillEnvironment>> with_light_of_file(
 
 }  // namespace
 
-Result<RigSource> open_rig(const RigConfig& c, const ProgressOf& progress,
+Result<RigSource> open_rig(const RigConfig& c, const ProgressOf& progress, PlayedTimes times,
                            std::unique_ptr<capture::PoseSource> head) {
   RigSource rig;
   if (c.source == "studio") {
@@ -102,11 +103,19 @@ Result<RigSource> open_rig(const RigConfig& c, const ProgressOf& progress,
     PENUMBRA_ASSIGN(source, LoopingCapture::open(c.source));
     rig.source = std::move(source);
   }
+  // A track's poses have the times of the frames as they were taken, all others those of now.
+  const bool by_track = c.pose && c.pose->source == "track";
+  const auto play_now = [&] {
+    if (times == PlayedTimes::kOfNow && c.source != "cameras")
+      rig.source = std::make_unique<PlayedSource>(std::move(rig.source));
+  };
+  if (!by_track) play_now();
   if (c.pose) {
     PENUMBRA_ASSIGN(posed, with_poses(std::move(rig.source), *c.pose, std::move(head)));
     rig.posed = posed.get();
     rig.source = std::move(posed);
   }
+  if (by_track) play_now();
   if (c.light_environment) {
     PENUMBRA_ASSIGN(lit, with_light_of_file(std::move(rig.source), c));
     rig.source = std::move(lit);

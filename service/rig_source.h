@@ -21,9 +21,13 @@ struct RigSource {
   runtime::Scene scene;                         // the configuration's, else the studio's own
 };
 
+/// Times of frames that no camera takes now, of the studio and of captures.
+enum class PlayedTimes { kAsTaken, kOfNow };
+
 /// head: the poses of a headset, for a rig that asks for them
 /// errors: as capture::Rig::open, capture::open_capture, set_up_studio, read_scene, with_poses
 Result<RigSource> open_rig(const RigConfig& config, const ProgressOf& progress,
+                           PlayedTimes times = PlayedTimes::kAsTaken,
                            std::unique_ptr<capture::PoseSource> head = nullptr);
 
 }  // namespace penumbra::service

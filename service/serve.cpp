@@ -389,7 +389,7 @@ Result<void> Service::run() {
     PENUMBRA_ASSIGN(headset, Headset::create(config_.headset));
     headset_ = std::move(headset);
   }
-  PENUMBRA_ASSIGN(rig, open_rig(config_, progress_,
+  PENUMBRA_ASSIGN(rig, open_rig(config_, progress_, PlayedTimes::kOfNow,
                                 follows_head ? std::make_unique<HeadPoses>(headset_) : nullptr));
   rig_ = std::move(rig);
   scene_now_ = shown_ = rig_.scene;

@@ -823,10 +823,15 @@ class Serve(CliTest):
             '[scene]\nfile = "scene.toml"\n[light]\nbands = 2\nstale_after_s = 5\n[http]\nport = 0\n')
 
     def setUp(self):
-        self.lines = []
-        self.process = subprocess.Popen([program(), "serve", "--config", str(self.root / "rig.toml")],
-                                        env=self.environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        self.make_files()  # a test may have written into them
         self.addCleanup(self.finish)
+        self.start("rig.toml")
+
+    def start(self, rig, **variables):
+        self.lines = []
+        self.process = subprocess.Popen([program(), "serve", "--config", str(self.root / rig)],
+                                        env=self.environment | variables, stdout=subprocess.PIPE,
+                                        stderr=subprocess.PIPE, text=True)
         listening = threading.Event()
 
         def read():
@@ -874,6 +879,30 @@ class Serve(CliTest):
             self.assertEqual(status, 503)
             time.sleep(0.1)
         self.fail(f"never ok: {health}\n{''.join(self.lines)}")
+
+    def test_the_studio_is_seen_in_a_headset(self):
+        """Its frames are of now, so that the runtime knows where the head was at their times."""
+        runtime = os.environ.get("PENUMBRA_FAKE_OPENXR_RUNTIME")
+        if not runtime:
+            self.skipTest("PENUMBRA_FAKE_OPENXR_RUNTIME does not name the runtime of the tests")
+        self.finish()
+        rig = (self.root / "rig.toml").read_text()
+        (self.root / "headset.toml").write_text(rig + "[output]\nopenxr = true\n")
+        (self.root / "runtime.json").write_text(json.dumps(
+            {"file_format_version": "1.0.0", "runtime": {"library_path": runtime}}))
+        self.start("headset.toml", XR_RUNTIME_JSON=str(self.root / "runtime.json"))
+        self.wait_until_ok()
+        until = time.monotonic() + 30 * PATIENCE
+        while time.monotonic() < until:
+            headset = json.loads(self.get("/healthz")[2]).get("headset", {})
+            if headset.get("shown", 0) >= 30:
+                break
+            time.sleep(.1)
+        self.assertGreaterEqual(headset["shown"], 30, headset)
+        self.assertEqual(headset["unplaced"], 0, headset)
+        self.assertEqual(headset["phase"], "running")
+        age_ms = headset["latency"]["capture_to_display"]["p50_ms"]
+        self.assertTrue(0 < age_ms < 1000 * PATIENCE, headset)
 
     def objects(self):
         return {o["name"]: o for o in json.loads(self.get("/v1/objects")[2])["objects"]}

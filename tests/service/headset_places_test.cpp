@@ -1,4 +1,5 @@
 // Where the headset output puts pictures and finds heads, by what the fake OpenXR runtime got.
+#include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
 #include <algorithm>
@@ -7,12 +8,15 @@
 #include <cmath>
 #include <glm/geometric.hpp>
 #include <glm/gtc/quaternion.hpp>
+#include <memory>
 #include <optional>
 #include <random>
 #include <string>
 #include <thread>
+#include <utility>
 #include <vector>
 
+#include "service/head_poses.h"
 #include "tests/support/headset_fixture.h"
 
 namespace penumbra::service {
@@ -265,6 +269,58 @@ TEST_F(HeadsetOutput, WithoutTrackingNothingIsPlaced) {
   EXPECT_FALSE(shows(1, .5));
   EXPECT_GT(headset_->state().unplaced, 0u);
   EXPECT_FALSE(headset_->head_at(now_ns()));
+}
+
+// ---- As poses of frames. ----
+
+class PosesOfTheHead : public HeadsetOutput {
+ protected:
+  bool starts() {
+    if (!start().has_value() || !runs()) return false;
+    poses_ = std::make_unique<HeadPoses>(std::shared_ptr<const Headset>(std::move(headset_)));
+    std::this_thread::sleep_for(std::chrono::milliseconds(300));
+    return true;
+  }
+  ~PosesOfTheHead() override { poses_.reset(); }
+  std::optional<capture::FramePose> pose_now() {
+    capture::Frame frame;
+    frame.time = now_ns() + Seconds(-.02);
+    return poses_->pose_of(frame);
+  }
+
+  std::unique_ptr<HeadPoses> poses_;
+};
+
+TEST_F(PosesOfTheHead, AreTheTrackedOnes) {
+  ASSERT_TRUE(starts());
+  const auto pose = pose_now();
+  ASSERT_TRUE(pose);
+  EXPECT_NEAR(pose->pose.translation.y, kFakeOpenXrEyeHeight_m, 1e-5);
+  EXPECT_LE(pose->sigma_m, .001);
+  EXPECT_EQ(poses_->state().trouble, "");
+  EXPECT_EQ(poses_->state().taken, 1u);
+  EXPECT_THAT(poses_->state().name, ::testing::HasSubstr("openxr"));
+}
+
+TEST_F(PosesOfTheHead, OfOneThatOnlyTurnsAreTakenAfterAWhileAndSaySo) {
+  FakeHeadset::state().place_tracked = false;
+  ASSERT_TRUE(starts());
+  EXPECT_FALSE(pose_now()) << "a tracker may still find its place";
+  EXPECT_THAT(poses_->state().trouble, ::testing::HasSubstr("does not track where it is"));
+  std::optional<capture::FramePose> pose;
+  ASSERT_TRUE(within(5, [&] { return (pose = pose_now()).has_value(); }));
+  EXPECT_GE(pose->sigma_m, .05);
+  EXPECT_NEAR(pose->pose.translation.y, kFakeOpenXrEyeHeight_m, 1e-5);
+  EXPECT_GT(poses_->state().refused, 0u);
+}
+
+TEST_F(PosesOfTheHead, AreMissingWhileAPlaceThatWasTrackedIsLost) {
+  ASSERT_TRUE(starts());
+  ASSERT_TRUE(pose_now());
+  FakeHeadset::state().place_tracked = false;
+  ASSERT_TRUE(within(5, [&] { return !pose_now(); }));
+  std::this_thread::sleep_for(std::chrono::milliseconds(2500));
+  EXPECT_FALSE(pose_now());
 }
 
 }  // namespace

@@ -27,6 +27,7 @@ class FakeHeadset {
     frames();
     faults();
     state().sessions_left = 0, state().instances_made = 0;
+    state().place_tracked = true;
   }
   ~FakeHeadset() {
     for (const std::string& name : variables_) ::unsetenv(name.c_str());

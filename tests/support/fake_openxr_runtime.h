@@ -28,6 +28,7 @@ struct FakeOpenXrState {
   std::atomic<std::uint32_t> layers_of_last_frame = 0;
   std::atomic<int> structs_of_properties = 0;  // chained to the last xrGetSystemProperties
   std::atomic<int> sessions_left = 0;          // by request, end and destruction in this order
+  std::atomic<bool> place_tracked = true;      // of the head; a test sets it
   char extensions[1024] = "";                  // of the last instance, a space after each
   static constexpr std::int64_t kTimeAhead_ns =
       1'000'000'000'000;  // of XrTime over CLOCK_MONOTONIC

@@ -122,6 +122,7 @@ XRAPI_ATTR XrResult XRAPI_CALL fake_locate_space(XrSpace space, XrSpace base, Xr
   // Controllers are seen only by who has the focus and asks for actions.
   const bool seen = of.hand < 0 || (session.synced && session.state == XR_SESSION_STATE_FOCUSED);
   out->locationFlags = knobs.refuses("tracking") || !seen ? 0 : kLocated;
+  if (!state.place_tracked) out->locationFlags &= ~XR_SPACE_LOCATION_POSITION_TRACKED_BIT;
   out->pose = times(inverse(in_stage(spaces[base], time)), in_stage(of, time));
   return XR_SUCCESS;
 }
