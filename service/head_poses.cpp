@@ -27,7 +27,7 @@ bool HeadPoses::follows_turns_alone(TimestampNs time) {
   constexpr Seconds kPatience(2);  // in which a tracker finds its place
   if (place_tracked_) return false;
   if (!untracked_since_) untracked_since_ = time;
-  return time - *untracked_since_ >= kPatience;
+  return turns_alone_ = time - *untracked_since_ >= kPatience;
 }
 
 capture::PoseSourceState HeadPoses::state() const {
@@ -39,7 +39,7 @@ capture::PoseSourceState HeadPoses::state() const {
   out.taken = taken_;
   out.refused = missed_;
   out.trouble = headset.trouble;
-  if (out.trouble.empty() && untracked_since_ && !place_tracked_)
+  if (out.trouble.empty() && turns_alone_ && !place_tracked_)
     out.trouble = "the headset does not track where it is, only how it is turned";
   return out;
 }

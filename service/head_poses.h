@@ -24,12 +24,13 @@ class HeadPoses : public capture::PoseSource {
 
  private:
   std::shared_ptr<const Headset> headset_;
-  bool follows_turns_alone(TimestampNs time);
+  bool follows_turns_alone(TimestampNs time);  // with mutex_ held
 
   mutable std::mutex mutex_;
   std::uint64_t taken_ = 0, missed_ = 0;  // guarded by mutex_, as is all below
   std::optional<TimestampNs> last_, asked_;
   std::optional<TimestampNs> untracked_since_;  // the place alone, and never tracked before
+  bool turns_alone_ = false;                    // that place is taken
   bool place_tracked_ = false;                  // it was at least once
 };
 
