@@ -9,6 +9,7 @@
 #include "core/image.h"
 #include "core/sh.h"
 #include "lighting/reflections/reflection_map.h"
+#include "prt/geometry/material.h"
 
 #pragma GCC visibility push(default)
 namespace penumbra::compositor {
@@ -30,6 +31,20 @@ struct Surroundings {
   RadianceSh light{1};  // all of it, for what a normal map changes
   /// Radiance that an emission of 1 has: of white paper in the light.
   float emission_unit = 1;
+};
+
+/// Whether rays tell what a surface mirrors of virtual objects. Rougher ones are matt nearly: their
+/// transfer says better what hides the surroundings from them.
+inline bool mirrors_objects(const prt::Material& m) {
+  constexpr float kRoughest = .7f;
+  return !m.unlit && (m.roughness <= kRoughest || m.metallic_roughness_map);
+}
+
+/// What an object with materials mirrors of virtual objects, itself among them, in one view.
+struct MirroredPicture {
+  int x0 = 0, y0 = 0, step = 1;  // a texel is a square of `step` pixels, the first one's corner
+  Image<Rgb> light{};            // mean radiance over a lobe, 0 where it meets nothing
+  Image<Rgb> open{};             // what it sees of the surroundings past them, 0..1
 };
 
 }  // namespace penumbra::compositor

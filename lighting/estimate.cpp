@@ -210,9 +210,9 @@ std::vector<std::size_t> lights_apart(std::span<const DistantLight> lights) {
   return out;
 }
 
-void LightEstimator::mirror(const SurfaceRoughness& surfaces) {
+void LightEstimator::mirror(const SurfaceRoughness& surfaces, float size_factor) {
   mirror_.reset();
-  if (!surfaces.empty()) mirror_.emplace(surfaces);
+  if (!surfaces.empty()) mirror_.emplace(surfaces, size_factor);
 }
 
 void LightEstimator::cut_out(const DistantLight& light, Image<Rgb>& map) const {

@@ -54,7 +54,8 @@ class LightEstimator {
   /// then, for the prediction, unless something in it is clipped.
   void allow_lights(int max_count);
   /// From now on estimates say what surfaces of these roughnesses mirror.
-  void mirror(const SurfaceRoughness& surfaces);
+  /// size_factor: as of ReflectionFilter
+  void mirror(const SurfaceRoughness& surfaces, float size_factor = 1);
   /// in:  radiance 0 where the confidence is 0
   /// out: keeps its memory; as it was after an error
   Result<void> estimate(const Environment& environment, LightEstimate& out);

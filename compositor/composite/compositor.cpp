@@ -94,8 +94,9 @@ struct Compositor::Impl {
   std::unique_ptr<GlProgram> show;
   std::unique_ptr<GlTexture> picture;
   Receivers receivers;
-  std::vector<int> receiver_of;  // by object, -1 without
-  int mirrored_changes = -1;     // of the receivers, that mirrors show
+  std::vector<int> receiver_of;          // by object, -1 without
+  int mirrored_changes = -1;             // of the receivers, that mirrors show
+  std::vector<Image<Rgb>> floor_ratios;  // by object, as mirrored; empty where none is
   CommonLayer objects, hidden;
   SensorPlanes planes;
 };
@@ -176,6 +177,18 @@ void Compositor::set_light_fractions(int object, std::span<const std::array<floa
   impl_->layers->set_light_fractions(object, fractions);
 }
 
+void Compositor::set_mirrored(int object, const MirroredPicture& picture) {
+  impl_->context->make_current();
+  impl_->layers->set_mirrored(object, picture);
+}
+
+const Image<Rgb>* Compositor::mirrored_floor(int object) {
+  impl_->context->make_current();
+  impl_->mirror_floor();
+  const Image<Rgb>& ratios = impl_->floor_ratios[static_cast<std::size_t>(object)];
+  return ratios.empty() ? nullptr : &ratios;
+}
+
 void Compositor::add_real_receiver(const prt::GroundGrid& grid, const Pose& world_from_grid) {
   impl_->receivers.add_real(grid, world_from_grid);
 }
@@ -235,10 +248,12 @@ Result<void> Compositor::Impl::check(const View& view, const FramePixels& frame)
 void Compositor::Impl::mirror_floor() {
   if (receivers.changes() == mirrored_changes) return;
   mirrored_changes = receivers.changes();
+  floor_ratios.resize(receiver_of.size());
   for (std::size_t i = 0; i < receiver_of.size(); ++i) {
     const int object = static_cast<int>(i);
     if (receiver_of[i] >= 0 && layers->mirrors(object) && receivers.is_shown(receiver_of[i]))
-      layers->set_floor(object, receivers.ratios_on(receiver_of[i], kMirroredFloor));
+      layers->set_floor(object,
+                        floor_ratios[i] = receivers.ratios_on(receiver_of[i], kMirroredFloor));
   }
 }
 

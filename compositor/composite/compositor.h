@@ -84,6 +84,14 @@ class Compositor {
   /// those that are not told.
   void set_light_fractions(int object, std::span<const std::array<float, 4>> fractions);
 
+  /// What an object with materials mirrors of virtual ones in the view that is drawn next, and
+  /// until another one is told; at first its transfer stands for it.
+  /// in: not empty
+  void set_mirrored(int object, const MirroredPicture& picture);
+  /// Shadow ratios on the floor around such an object, as it mirrors them, on the grid of its
+  /// receiver; null without one.
+  const Image<Rgb>* mirrored_floor(int object);
+
   /// Ways in for real things:
   ///   add_plane          a plane: hides objects; a shadow is seen where its plane is the nearest
   ///   add_occluder       a mesh, or a depth picture made one: hides objects and shadows

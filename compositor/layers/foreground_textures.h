@@ -18,7 +18,7 @@ struct CoverTextures {
 class ForegroundTextures {
  public:
   /// Units of its textures; those of other pictures are below.
-  static constexpr int kCoverUnit = 11, kDistanceUnit = 12;
+  static constexpr int kCoverUnit = 13, kDistanceUnit = 14;
 
   /// Null, or one of no pixels: nothing stands in front.
   void set(const std::shared_ptr<const Foreground>& foreground);

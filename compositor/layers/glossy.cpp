@@ -11,6 +11,7 @@
 #include <string>
 #include <string_view>
 
+#include "compositor/layers/foreground_textures.h"
 #include "core/conventions.h"
 #include "lighting/reflections/ggx.h"
 #include "lighting/reflections/octahedral_map.h"
@@ -23,7 +24,9 @@ using lighting::ReflectionMap;
 
 // Units 0 to 2 are those of other programs' pictures and of a lens.
 constexpr int kFirstUnit = 3, kMaps = 5, kSurroundingsUnit = kFirstUnit + kMaps,
-              kReflectedUnit = kSurroundingsUnit + 1, kFloorUnit = kReflectedUnit + 1;
+              kReflectedUnit = kSurroundingsUnit + 1, kFloorUnit = kReflectedUnit + 1,
+              kMirroredUnit = kFloorUnit + 1, kPastObjectsUnit = kMirroredUnit + 1;
+static_assert(kPastObjectsUnit < ForegroundTextures::kCoverUnit);
 
 // What stays with a vertex, and what turns with the form.
 struct VertexAttributes {
@@ -228,6 +231,7 @@ GlossyFeatures Glossy::features_of(const GlossyObject& o, const GlossyObject::Pa
                  is_between_levels(shown_->place_of(lighting::kNarrowLobe * m.roughness))));
   out.add(kLongLobe, lighting::has_long_lobe(m.roughness));
   out.add(kFloor, !o.floor_codes.empty());
+  out.add(kObjects, o.mirrored_size.x > 0 && mirrors_objects(m));
   return out;
 }
 
@@ -414,6 +418,42 @@ bool Glossy::set_floor(GlossyObject& o, const Image<Rgb>& ratios) {
   return true;
 }
 
+void Glossy::set_mirrored(GlossyObject& o, const MirroredPicture& picture) {
+  const glm::ivec2 size(picture.light.width(), picture.light.height());
+  const auto upload = [&](const GlTexture& to, const Image<Rgb>& from) {
+    glBindTexture(GL_TEXTURE_2D, to.get());
+    if (size != o.mirrored_size) {
+      glTexImage2D(GL_TEXTURE_2D, 0, GL_RGB16F, size.x, size.y, 0, GL_RGB, GL_FLOAT,
+                   from.pixels().data());
+      read_to_the_rim();
+    } else {
+      glTexSubImage2D(GL_TEXTURE_2D, 0, 0, 0, size.x, size.y, GL_RGB, GL_FLOAT,
+                      from.pixels().data());
+    }
+  };
+  upload(o.mirrored, picture.light);
+  upload(o.past_objects, picture.open);
+  o.mirrored_size = size;
+  o.mirrored_place = {picture.x0, picture.y0, picture.step};
+}
+
+void Glossy::set_mirrored_objects(GLuint program, const GlossyObject& o) const {
+  if (o.mirrored_size.x == 0) return;
+  glActiveTexture(GL_TEXTURE0 + kMirroredUnit);
+  glBindTexture(GL_TEXTURE_2D, o.mirrored.get());
+  glUniform1i(uniform(program, "objects"), kMirroredUnit);
+  glActiveTexture(GL_TEXTURE0 + kPastObjectsUnit);
+  glBindTexture(GL_TEXTURE_2D, o.past_objects.get());
+  glUniform1i(uniform(program, "past_objects"), kPastObjectsUnit);
+  const glm::vec2 texel =
+      static_cast<float>(o.mirrored_place.z) * glm::vec2(o.mirrored_size);  // pixels of them all
+  const glm::vec2 corner =
+                      glm::vec2(canvas_.x0 - o.mirrored_place.x, canvas_.y0 - o.mirrored_place.y) /
+                      texel,
+                  each = 1.f / (texel * static_cast<float>(scale_));
+  glUniform4f(uniform(program, "objects_place"), corner.x, corner.y, each.x, each.y);
+}
+
 void Glossy::set_mirrored_floor(GLuint program, const GlossyObject& o, const Pose& pose) {
   if (o.floor_codes.empty()) return;
   glActiveTexture(GL_TEXTURE0 + kFloorUnit);
@@ -552,6 +592,7 @@ void Glossy::draw(const GlossyObject& o, const UseProgram& use, const Placed& pl
     const GLuint program = use(features_of(o, part));
     set_scene(program, placed);
     set_mirrored_floor(program, o, placed.world_from_object);
+    set_mirrored_objects(program, o);
     set_material(m, program);
     if ((blended && !m.double_sided) || (placed.cull_backs && !o.shows_backs))
       glEnable(GL_CULL_FACE);

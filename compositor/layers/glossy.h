@@ -7,6 +7,7 @@
 #include <cstdint>
 #include <functional>
 #include <glm/vec2.hpp>
+#include <glm/vec3.hpp>
 #include <glm/vec4.hpp>
 #include <map>
 #include <memory>
@@ -18,6 +19,7 @@
 #include "compositor/layers/drawn_vertices.h"
 #include "compositor/layers/gl/gl.h"
 #include "compositor/layers/glossy_program.h"
+#include "compositor/projection.h"
 #include "compositor/surroundings.h"
 #include "core/pose.h"
 #include "prt/bake/bake.h"
@@ -43,6 +45,10 @@ struct GlossyObject {
   std::optional<prt::GroundGrid> floor_grid{};
   GlTexture floor{};
   std::vector<std::uint8_t> floor_codes{};  // of shadow ratios over 1.5; none: not told
+  // What it mirrors of objects, as last told.
+  GlTexture mirrored{}, past_objects{};
+  glm::ivec3 mirrored_place{0, 0, 1};  // corner and step of MirroredPicture
+  glm::ivec2 mirrored_size{0, 0};      // texels; 0: not told
 
   bool is_blended(const Part& part) const;
   bool any(bool blended) const;
@@ -68,6 +74,11 @@ class Glossy {
   /// in:  of kMirroredFloor texels a side, on the grid of the object's receiver
   /// out: whether it looks different now
   static bool set_floor(GlossyObject& object, const Image<Rgb>& ratios);
+
+  /// As of Compositor.
+  static void set_mirrored(GlossyObject& object, const MirroredPicture& picture);
+  /// The part of the picture that is drawn next, and samples a pixel along each axis.
+  void place(const Rect& canvas, int oversampling) { canvas_ = canvas, scale_ = oversampling; }
 
   GlossyFeatures features_of(const GlossyObject& object, const GlossyObject::Part& part) const;
 
@@ -97,6 +108,7 @@ class Glossy {
   };
   void lay_out_levels(std::span<const lighting::ReflectionMap::RoughnessLevel> levels);
   void set_levels(GLuint program) const;
+  void set_mirrored_objects(GLuint program, const GlossyObject& object) const;
   static void set_mirrored_floor(GLuint program, const GlossyObject& object, const Pose& pose);
   void upload(const prt::Texture& texture, bool srgb);
   void bind(int unit, const prt::Texture& texture, bool srgb, GLuint program, const char* name);
@@ -116,6 +128,8 @@ class Glossy {
   std::vector<glm::ivec2> level_corners_;
   std::array<glm::vec4, lighting::ReflectionMap::kMaxLevels> tiles_{};
   Surroundings surroundings_;
+  Rect canvas_{};
+  int scale_ = 1;
   std::vector<GlossyObject::Triangle> order_;  // scratch
 };
 

@@ -33,6 +33,7 @@ class GlossyFeatures {
     kBetweenLevels,         // what is mirrored is mixed from two levels
     kLongLobe,              // seen slantwise its lobe is longer than wide
     kFloor,                 // the shadows on the floor are mirrored
+    kObjects,               // a picture of this view tells what it mirrors of objects
     kFeatures
   };
   void add(Feature feature, bool wanted) {
@@ -58,7 +59,8 @@ inline std::string glossy_defines(const GlossyFeatures& features, bool cut) {
       "UNLIT",           "CLEARCOAT",
       "LIGHTS",          "OCCLUSION_IN_ROUGHNESS",
       "ALPHA",           "BETWEEN_LEVELS",
-      "LONG_LOBE",       "FLOOR"};
+      "LONG_LOBE",       "FLOOR",
+      "OBJECTS"};
   std::string out = fmt::format(
       "#define MAX_LEVELS {}\n#define MIRRORED_FLOOR {:.1f}\n#define GRID_STRETCH {:.3f}\n"
       "#define NARROW_LOBE {:.5f}\n",
@@ -237,24 +239,30 @@ vec3 above_floor(vec3 around, vec3 towards, float place, float alpha) {
 #endif
 #ifdef LONG_LOBE
 // Facets that lean towards the viewer, or away, by some angle turn what is mirrored by twice that,
-// those that lean aside by n.v of it: three lobes of .6 of the width in the plane of incidence, .7
-// of the width apart, stand for them: as a density they are 11 % off, a round lobe 35 %.
+// those that lean aside by n.v of it: five lobes of .6 of the width in the plane of incidence, .73
+// of the width apart, stand for them. Fitted to highlights on a ball (docs/methods/materials.md).
 vec3 along_lobe(vec3 n, vec3 v, float n_dot_v, float alpha, float place, vec3 otherwise) {
   vec3 t = normalize(v - n * n_dot_v), sum = vec3(0);
   float weights = 0.0, a2 = alpha * alpha;
-  for (float side = -1.0; side < 2.0; side += 1.0) {
-    vec3 h = normalize(n + side * 0.7 * alpha * t);
+  for (float side = -2.0; side < 3.0; side += 1.0) {
+    vec3 h = normalize(n + side * 0.73 * alpha * t);
     float v_dot_h = dot(v, h);
     vec3 l = 2.0 * v_dot_h * h - v;
     float n_dot_l = dot(n, l);
     if (v_dot_h <= 0.0 || n_dot_l <= 0.0) continue;
-    float weight = (side == 0.0 ? 0.56 : 0.22) * visibility(a2, n_dot_l, n_dot_v) * n_dot_l *
-                   v_dot_h / dot(n, h);
+    float part = side == 0.0 ? 0.594 : abs(side) < 1.5 ? 0.167 : 0.036;
+    float weight = part * visibility(a2, n_dot_l, n_dot_v) * n_dot_l * v_dot_h / dot(n, h);
     sum += weight * on_level(octahedral(l), int(place + 0.5));
     weights += weight;
   }
   return weights > 0.0 ? sum / weights : otherwise;
 }
+#endif
+
+#ifdef OBJECTS
+// Mean radiance over the lobe where it meets objects, and how much of it does not.
+uniform highp sampler2D objects, past_objects;
+uniform vec4 objects_place;  // of the canvas's corner in it, and of a sample's step
 #endif
 
 void main() {
@@ -314,7 +322,13 @@ void main() {
   vec3 again = 1.0 + f0 * (1.0 / max(even.x + even.y, 1e-3) - 1.0);
   vec3 fraction = (f0 * even.x + f90 * even.y) * again;
   vec3 r = reflect(-v, n);
+#ifdef OBJECTS
+  vec2 at_objects = objects_place.xy + gl_FragCoord.xy * objects_place.zw;
+  vec3 of_objects = textureLod(objects, at_objects, 0.0).rgb;
+  vec3 seen = occlusion * textureLod(past_objects, at_objects, 0.0).rgb;
+#else
   float seen = occlusion * open_fraction(r, plain);
+#endif
 #ifdef NORMAL_MAP
   float above = clamp(1.0 + dot(r, plain), 0.0, 1.0);
   seen *= above * above;
@@ -323,15 +337,21 @@ void main() {
   float alpha = max(rough * rough, 1e-3);
   vec3 around = surroundings_towards(r, at_level);
 #ifdef LONG_LOBE
-  // To .6 as wide as long; of rough surfaces less, as the path tracer has it.
-  float slant = clamp((0.98 - n_dot_v) / 0.38, 0.0, 1.0) * (1.0 - alpha);
-  if (slant > 0.0)
-    around = mix(around, along_lobe(n, v, n_dot_v, alpha, at_long_level, around), slant);
+  // Below n.v of .54 by more than those lobes, as far as what they lack of a round one allows.
+  float off = 1.0 - n_dot_v, slant = off * (2.08 + 0.21 * off) * (1.0 - 0.56 * alpha);
+  if (slant > 0.02) {
+    vec3 row = along_lobe(n, v, n_dot_v, alpha, at_long_level, around);
+    around = max(mix(around, row, slant), 0.25 * row);
+  }
 #endif
 #ifdef FLOOR
   around = above_floor(around, r, at_level, alpha);
 #endif
+#ifdef OBJECTS
+  vec3 shown = fraction * (of_objects + seen * around);
+#else
   vec3 shown = fraction * mix(own, around, seen);
+#endif
 #ifdef LIGHTS
   shown += again * mirrored_lights(n, v, n_dot_v, alpha, f0, f90);
 #endif
@@ -350,7 +370,12 @@ void main() {
 #ifdef FLOOR
   on_coat = above_floor(on_coat, r, clearcoat_level, coat_alpha);
 #endif
-  shown = shown * (1.0 - coat) + coat * seen * on_coat;
+#ifdef OBJECTS
+  on_coat = of_objects + seen * on_coat;  // by the lobe below it
+#else
+  on_coat *= seen;
+#endif
+  shown = shown * (1.0 - coat) + coat * on_coat;
 #ifdef LIGHTS
   shown += clearcoat * mirrored_lights(n, v, n_dot_v, coat_alpha, vec3(0.04), 1.0);
 #endif

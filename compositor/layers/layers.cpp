@@ -432,6 +432,13 @@ void Layers::set_floor(int object, const Image<Rgb>& ratios) {
   if (Glossy::set_floor(*o.glossy, ratios)) o.changed = true;
 }
 
+void Layers::set_mirrored(int object, const MirroredPicture& picture) {
+  DrawnObject& o = objects_[static_cast<std::size_t>(object)];
+  if (!o.glossy) return;
+  Glossy::set_mirrored(*o.glossy, picture);
+  o.changed = true;
+}
+
 GLuint Layers::use_program(const View& view, const ViewProjection& from_world, const DrawnObject& o,
                            std::optional<GlossyFeatures> glossy) const {
   const LayerDrawing drawing = o.albedo_map ? LayerDrawing::kTexturedObject : LayerDrawing::kObject;
@@ -532,6 +539,7 @@ Result<bool> Layers::draw_layer_of_objects(const View& view, const ViewProjectio
 
 Result<void> Layers::begin(Canvas& canvas, const Rect& rect) {
   programs_.place_foreground(rect, canvas.oversampling());
+  if (glossy_) glossy_->place(rect, canvas.oversampling());
   return canvas.begin(rect, width_, height_);
 }
 

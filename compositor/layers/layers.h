@@ -44,6 +44,8 @@ class Layers {
   }
   /// As Glossy::set_floor. in: an object that mirrors, with a receiver
   void set_floor(int object, const Image<Rgb>& ratios);
+  /// As of Compositor.
+  void set_mirrored(int object, const MirroredPicture& picture);
   int add_occluder(const prt::Mesh& mesh);
   /// Shadow ratios at the vertices of real geometry.
   void set_ratios(int occluder, std::span<const Rgb> ratios);

@@ -162,8 +162,10 @@ std::vector<float> SurfaceRoughness::levels() const {
   return out;
 }
 
-ReflectionFilter::ReflectionFilter(const SurfaceRoughness& asked) {
-  for (const float r : asked.levels()) plans_.push_back({r, size_of(r)});
+ReflectionFilter::ReflectionFilter(const SurfaceRoughness& asked, float size_factor) {
+  for (const float r : asked.levels())
+    plans_.push_back({r, std::clamp(static_cast<int>(static_cast<float>(size_of(r)) * size_factor),
+                                    kSmallestSize, ReflectionMap::kLargestSize)});
   // A coarser one would read single places of the map.
   constexpr int kSmallestBase = 160;
   base_ = std::clamp(2 * plans_.front().size, kSmallestBase, ReflectionMap::kLargestSize);

@@ -66,8 +66,9 @@ class SurfaceRoughness {
 
 class ReflectionFilter {
  public:
-  /// in: not empty
-  explicit ReflectionFilter(const SurfaceRoughness& asked);
+  /// size_factor: of all pictures' sides, as far as the smallest and the largest allow
+  /// in:          asked: not empty
+  explicit ReflectionFilter(const SurfaceRoughness& asked, float size_factor = 1);
 
   /// in:  map: lat-long, finite; lights that are drawn as such are not in it
   ///      confidence: 0 where nothing was seen, which `unseen` then tells; empty: all was seen

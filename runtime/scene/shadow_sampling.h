@@ -1,4 +1,4 @@
-// How finely the shadows of distant lights are traced.
+// How finely what is traced in a frame is: shadows of distant lights, and mirrors.
 // threads: a plain value
 #pragma once
 
@@ -13,6 +13,8 @@ struct ShadowSampling {
   /// all normals. That may be a fill light, too, on the side that the others do not reach.
   int object = 4;
   shadows::ShadowMapOptions plane;
+  /// False: what surfaces mirror of virtual objects is left to their transfer, as for charts.
+  bool mirrored_objects = true;
 };
 
 }  // namespace penumbra::runtime

@@ -131,13 +131,14 @@ Result<std::unique_ptr<CompositeStage>> CompositeStage::create(
   PENUMBRA_ASSIGN(lights, DirectLightStage::create(scene, sampling));
   PENUMBRA_ASSIGN(recovery, FloorRecovery::create(scene));
   PENUMBRA_ASSIGN(foreground, ForegroundStage::create(cameras, scene.planes, scene.real_mesh));
+  PENUMBRA_ASSIGN(mirrored, MirroredObjects::create(scene, sampling.mirrored_objects));
   if (scene.sun && recovery.idle())
     log_warning(
         "sun: one that no camera sees stays dark: no object stands on a floor of known albedo, or "
         "beside a real mesh that throws a shadow");
-  auto stage = std::unique_ptr<CompositeStage>(
-      new CompositeStage(std::move(compositor), std::move(lights), std::move(recovery),
-                         std::move(foreground), scene, std::move(moving), times));
+  auto stage = std::unique_ptr<CompositeStage>(new CompositeStage(
+      std::move(compositor), std::move(lights), std::move(recovery), std::move(foreground),
+      std::move(mirrored), scene, std::move(moving), times));
   for (const capture::CameraInfo& c : cameras) PENUMBRA_TRY(stage->add_camera(c));
   if (!scene.real_mesh.triangles.empty()) stage->compositor_->add_occluder(scene.real_mesh);
   if (scene.real && scene.real->baked.receiver)
@@ -154,14 +155,16 @@ Result<std::unique_ptr<CompositeStage>> CompositeStage::create(
     object.relit.resize(3 * o.baked.transfer.stride);
     if (!o.animation) object.bases = stage->bases_of(o.baked);
   }
+  stage->mirrored_objects_.begin(stage->handles_, *stage->compositor_);
   if (stage->moving_) drop_coefficients(*stage->moving_);  // shared with the caller's scene
   return stage;
 }
 
 CompositeStage::CompositeStage(std::unique_ptr<compositor::Compositor> compositor,
                                DirectLightStage lights, FloorRecovery recovery,
-                               ForegroundStage foreground, const PreparedScene& scene,
-                               std::unique_ptr<PreparedScene> moving, StageTimes& times)
+                               ForegroundStage foreground, MirroredObjects mirrored_objects,
+                               const PreparedScene& scene, std::unique_ptr<PreparedScene> moving,
+                               StageTimes& times)
     : compositor_(std::move(compositor)),
       moving_(std::move(moving)),
       scene_(scene),
@@ -176,6 +179,7 @@ CompositeStage::CompositeStage(std::unique_ptr<compositor::Compositor> composito
       ground_probes_(scene),
       planes_(scene),
       mirrored_(scene),
+      mirrored_objects_(std::move(mirrored_objects)),
       times_(times) {}
 
 std::shared_ptr<const RelightBases> CompositeStage::bases_of(const prt::BakedObject& baked) const {
@@ -201,6 +205,7 @@ bool CompositeStage::move_objects() {
       continue;
     compositor_->update_vertices(objects_[i].handle, o.baked.mesh);
     lights_.update_vertices(i);
+    mirrored_objects_.update_vertices(i);
     moved = true;
   }
   return moved;
@@ -289,7 +294,7 @@ bool CompositeStage::shade(const lighting::LightEstimate& light, double seconds,
   bool lights_changed = update_distant_lights(light), lamps_changed = false;
   if (mirrored_.any()) {
     const StageTimer timer(times_, "reflections");
-    mirrored_.update(light, lights_, handles_, *compositor_);
+    mirrors_others_ |= mirrored_.update(light, lights_, handles_, *compositor_);
   }
   if (lamps_.any()) {
     const StageTimer timer(times_, "lamps");
@@ -623,11 +628,26 @@ compositor::View CompositeStage::view_of(const capture::Frame& frame) {
           foreground_of(frame, camera, curve)};
 }
 
+void CompositeStage::mirror_objects(const compositor::View& view, const capture::Frame& frame,
+                                    bool relit) {
+  if (!mirrored_objects_.any()) return;
+  const StageTimer timer(times_, "mirrored objects");
+  const bool others = std::exchange(mirrors_others_, false);
+  visible_.clear(), relit_.clear();
+  for (const StageObject& o : objects_) visible_.push_back(o.visible), relit_.push_back(o.relit);
+  const ViewCamera& camera = views_[static_cast<std::size_t>(frame.camera)];
+  mirrored_objects_.update(
+      static_cast<std::size_t>(frame.camera), {view, camera.info.projection, poses_, visible_},
+      {mirrored_.now(), relit_, mirrored_.fractions()}, relit || others, handles_, *compositor_);
+}
+
 Result<void> CompositeStage::process(const capture::Frame& frame,
                                      const lighting::LightEstimate& light, Composited& out) {
   const bool relit = shade(light, (frame.time - TimestampNs{0}).count(), frame.camera);
   const StageTimer timer(times_, "composite");
-  PENUMBRA_ASSIGN(touched, compositor_->composite(view_of(frame), *frame.pixels, out.pixels));
+  const compositor::View view = view_of(frame);
+  mirror_objects(view, frame, relit);
+  PENUMBRA_ASSIGN(touched, compositor_->composite(view, *frame.pixels, out.pixels));
   out.touched = touched;
   out.relit = relit;
   fade(*frame.pixels, frame.opacity, out.pixels);
@@ -641,7 +661,9 @@ Result<void> CompositeStage::draw(const capture::Frame& frame, const lighting::L
   out.camera_ = frame.pixels;
   out.opacity_ = frame.opacity;
   out.times_ = &times_;
-  PENUMBRA_TRY(compositor_->draw(view_of(frame), *frame.pixels, out.drawn_));
+  const compositor::View view = view_of(frame);
+  mirror_objects(view, frame, out.relit_);
+  PENUMBRA_TRY(compositor_->draw(view, *frame.pixels, out.drawn_));
   out.drawing_ms_ = watch.ms();
   return {};
 }

@@ -34,6 +34,7 @@
 #include "runtime/scene/scene.h"
 #include "runtime/shading/composited.h"
 #include "runtime/shading/floor_recovery.h"
+#include "runtime/shading/mirrored_objects.h"
 #include "runtime/shading/mirrored_surroundings.h"
 #include "runtime/shading/object_moves.h"
 #include "runtime/surroundings/ground_probes.h"
@@ -95,8 +96,8 @@ class CompositeStage {
   void warm_up();
   /// Composites one view frame under `light`.
   /// out:    keeps its memory: once it has had a frame nothing comes from the heap, without real
-  ///         meshes, several planes, lamps, clips and turntables (whose shadows grow now and then),
-  ///         but for the first time that something keeps a light from an object
+  ///         meshes, several planes, lamps, materials, clips and turntables (whose shadows grow now
+  ///         and then), but for the first time that something keeps a light from an object
   /// errors: as Compositor::composite
   Result<void> process(const capture::Frame& frame, const lighting::LightEstimate& light,
                        Composited& out);
@@ -132,7 +133,10 @@ class CompositeStage {
   bool shade(const lighting::LightEstimate& light, double seconds, int camera = 0);
   /// From now on time counts: what is traced live keeps to its own. Before, results are the same on
   /// every machine.
-  void keep_time() { keeps_time_ = true; }
+  void keep_time() {
+    keeps_time_ = true;
+    mirrored_objects_.keep_time();
+  }
 
  private:
   static constexpr double kDarker = 1. / 8;  // exposure of the first darker frame
@@ -187,7 +191,8 @@ class CompositeStage {
   };
 
   CompositeStage(std::unique_ptr<compositor::Compositor> compositor, DirectLightStage lights,
-                 FloorRecovery recovery, ForegroundStage foreground, const PreparedScene& scene,
+                 FloorRecovery recovery, ForegroundStage foreground,
+                 MirroredObjects mirrored_objects, const PreparedScene& scene,
                  std::unique_ptr<PreparedScene> moving, StageTimes& times);
   Result<void> add_camera(const capture::CameraInfo& info);
   std::shared_ptr<const RelightBases> bases_of(const prt::BakedObject& baked) const;
@@ -268,6 +273,7 @@ class CompositeStage {
                                                               const ViewCamera& camera,
                                                               const ResponseTable* curve);
   compositor::View view_of(const capture::Frame& frame);
+  void mirror_objects(const compositor::View& view, const capture::Frame& frame, bool relit);
 
   std::unique_ptr<compositor::Compositor> compositor_;
   std::unique_ptr<PreparedScene> moving_;  // the scene itself where something in it moves by itself
@@ -283,11 +289,15 @@ class CompositeStage {
   GroundProbes ground_probes_;
   OpenPlanes planes_;
   MirroredSurroundings mirrored_;
-  std::vector<int> handles_;               // of the objects, in the compositor
-  std::optional<PlaneLight> plane_light_;  // of this update
-  std::vector<Rgb> of_points_, lost_;      // scratch
-  std::vector<Rgb> real_ratios_;           // at its vertices, as last shown
-  bool could_not_complete_ = false;        // was said
+  MirroredObjects mirrored_objects_;
+  bool mirrors_others_ = true;                 // other surroundings than in the frame before
+  std::vector<char> visible_;                  // scratch, by object
+  std::vector<std::span<const float>> relit_;  // "
+  std::vector<int> handles_;                   // of the objects, in the compositor
+  std::optional<PlaneLight> plane_light_;      // of this update
+  std::vector<Rgb> of_points_, lost_;          // scratch
+  std::vector<Rgb> real_ratios_;               // at its vertices, as last shown
+  bool could_not_complete_ = false;            // was said
   bool keeps_time_ = false;
   StageTimes& times_;
   std::vector<ViewCamera> views_;  // by camera index; unused entries for environment cameras

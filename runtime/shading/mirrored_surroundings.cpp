@@ -9,7 +9,7 @@
 namespace penumbra::runtime {
 
 MirroredSurroundings::MirroredSurroundings(const PreparedScene& scene)
-    : scene_(scene), asked_(mirrored_roughness(scene)) {}
+    : scene_(scene), asked_(mirrored_roughness(scene)), fractions_(scene.objects.size()) {}
 
 std::shared_ptr<const lighting::ReflectionMap> MirroredSurroundings::from_harmonics(
     const RadianceSh& light) {
@@ -44,29 +44,36 @@ bool MirroredSurroundings::is_shown(const lighting::LightEstimate& light) const 
   });
 }
 
-void MirroredSurroundings::update(const lighting::LightEstimate& light,
+bool MirroredSurroundings::update(const lighting::LightEstimate& light,
                                   const DirectLightStage& lights, const std::vector<int>& handles,
                                   compositor::Compositor& compositor) {
-  if (!any()) return;
+  if (!any()) return false;
   const bool renewed = !is_shown(light);
   if (renewed) {
-    compositor.set_surroundings(surroundings_of(light));
+    now_ = surroundings_of(light);
+    compositor.set_surroundings(now_);
     shown_ = light;
   }
   const std::vector<std::size_t> apart = lighting::lights_apart(light.lights);
-  if (apart.empty()) return;
+  if (apart.empty()) {
+    if (renewed) std::ranges::fill(fractions_, std::vector<std::array<float, 4>>());
+    return renewed;
+  }
+  bool changed = renewed;
   for (std::size_t o = 0; o < scene_.objects.size(); ++o) {
     if (!scene_.objects[o].baked.surface || !(renewed || lights.changed(o))) continue;
     const std::size_t vertices = scene_.objects[o].baked.mesh.positions.size();
-    fractions_.assign(vertices, {1, 1, 1, 1});
+    fractions_[o].assign(vertices, {1, 1, 1, 1});
+    changed = true;
     one_.resize(vertices);
     for (std::size_t k = 0; k < apart.size(); ++k) {
       std::ranges::fill(one_, 1.f);
       lights.visible_fractions(apart[k], o, one_);
-      for (std::size_t v = 0; v < vertices; ++v) fractions_[v][k] = one_[v];
+      for (std::size_t v = 0; v < vertices; ++v) fractions_[o][v][k] = one_[v];
     }
-    compositor.set_light_fractions(handles[o], fractions_);
+    compositor.set_light_fractions(handles[o], fractions_[o]);
   }
+  return changed;
 }
 
 }  // namespace penumbra::runtime

@@ -2,8 +2,10 @@
 // threads: thread-bound
 #pragma once
 
+#include <array>
 #include <memory>
 #include <optional>
+#include <span>
 #include <vector>
 
 #include "compositor/composite/compositor.h"
@@ -22,8 +24,14 @@ class MirroredSurroundings {
   bool any() const { return !asked_.empty(); }
   /// Hands on what changed. An estimate without reflections is mirrored as its harmonics say.
   /// handles: of the objects, in the compositor
-  void update(const lighting::LightEstimate& light, const DirectLightStage& lights,
+  /// out: whether anything did
+  bool update(const lighting::LightEstimate& light, const DirectLightStage& lights,
               const std::vector<int>& handles, compositor::Compositor& compositor);
+
+  /// Of the last update: what is mirrored, and of each object's vertices what comes to them of each
+  /// light; none: all.
+  const compositor::Surroundings& now() const { return now_; }
+  std::span<const std::vector<std::array<float, 4>>> fractions() const { return fractions_; }
 
  private:
   bool is_shown(const lighting::LightEstimate& light) const;
@@ -34,8 +42,9 @@ class MirroredSurroundings {
   lighting::SurfaceRoughness asked_;
   std::optional<lighting::ReflectionFilter> own_filter_;  // of estimates without reflections
   std::optional<lighting::LightEstimate> shown_;
-  std::vector<std::array<float, 4>> fractions_;  // scratch, of one object's vertices
-  std::vector<float> one_;                       // of one light
+  compositor::Surroundings now_;
+  std::vector<std::vector<std::array<float, 4>>> fractions_;  // by object
+  std::vector<float> one_;                                    // scratch, of one light
 };
 
 }  // namespace penumbra::runtime

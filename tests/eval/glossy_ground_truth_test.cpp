@@ -177,30 +177,30 @@ TEST_P(GlossyGroundTruth, ObjectFollowsTheWorldThatItMirrors) {
 
 // A little above what they come to; the goal is .06. What is missing, by terms that are switched
 // off in the reference, for gold:
-// - A knot mirrors itself: 82 % off if it did not. What is mirrored twice is 31 %.
-// - Seen slantwise a lobe is longer than wide, by more than three lobes in a row are: most of what
-//   a studio's lamps are off by.
+// - A knot mirrors itself: 82 % off if it did not, 35 % if what it sees of itself is lit as it is.
+// - Seen slantwise a lobe is longer than wide, and not quite as five lobes in a row are: most of
+//   what a studio's lamps are off by.
 // - What a metal sends to the floor is mirrored, not scattered: a box before a window.
 const GlossyCase kGlossyCases[] = {
     {"ball",
      "room",
-     {{"gold", .05, .04},
+     {{"gold", .04, .04},
       {"chrome", .02, .04},
-      {"brushed", .09, .035},
+      {"brushed", .075, .035},
       {"plastic", .02, .035},
-      {"rubber", .03, .035},
-      {"tiles", .085, .035}}},
+      {"rubber", .02, .035},
+      {"tiles", .075, .035}}},
     {"knot",
      "room",
-     {{"gold", .4, .04},
-      {"chrome", .58, .04},
-      {"brushed", .27, .035},
-      {"plastic", .09, .035},
-      {"rubber", .042, .035},
-      {"tiles", .46, .035}}},
-    {"box", "room", {{"gold", .06, .13}, {"plastic", .03, .04}}},
-    {"ball", "studio_small_03", {{"gold", .33, .04}, {"plastic", .075, .03}}},
-    {"ball", "venice_sunset", {{"gold", .035, .04}, {"plastic", .07, .03}}},
+     {{"gold", .12, .04},
+      {"chrome", .155, .04},
+      {"brushed", .13, .035},
+      {"plastic", .05, .035},
+      {"rubber", .044, .035},
+      {"tiles", .13, .035}}},
+    {"box", "room", {{"gold", .055, .13}, {"plastic", .035, .04}}},
+    {"ball", "studio_small_03", {{"gold", .29, .04}, {"plastic", .06, .03}}},
+    {"ball", "venice_sunset", {{"gold", .025, .04}, {"plastic", .06, .03}}},
 };
 INSTANTIATE_TEST_SUITE_P(Worlds, GlossyGroundTruth, testing::ValuesIn(kGlossyCases),
                          [](const auto& c) {
