@@ -148,6 +148,8 @@ MENTIONED = {
                  "tools/chart/command_chart_direct_light.cpp: print_json( + "
                  "tools/chart/command_chart_light_track.cpp: rows.push_back( + "
                  "tools/chart/command_chart_light_track.cpp: print_json( + "
+                 "tools/chart/command_chart_materials.cpp: json to_json( + "
+                 "tools/chart/command_chart_materials.cpp: print_json( + "
                  "tools/chart/command_chart_stills.cpp: json to_json( + "
                  "tools/chart/command_chart_stills.cpp: print_json("},
 }

@@ -366,6 +366,26 @@ class Charts(CliTest):
         self.assertEqual(len({row["coder"] for row in rows}), 6)
         self.assertTrue((out / "rate-distortion.csv").stat().st_size > 0)
 
+    def test_ways_to_mirror_are_charted(self):
+        out = self.root / "materials"
+        rows = self.run_json("chart", "--materials", "--asset", "builtin:ball", "--error", .2, "--out", out)["rows"]
+        materials = {row["material"] for row in rows}
+        self.assertEqual(materials, {"chrome", "gold", "brushed steel", "plastic"})
+        for material in materials:
+            own = [row for row in rows if row["material"] == material]
+            self.assertEqual(len(own), 9)
+            best = {m: min(row["object_rel_rmse"] for row in own if row["method"] == m)
+                    for m in ("as chalk", "surroundings mirrored", "objects too")}
+            self.assertLess(best["surroundings mirrored"], .4 * best["as chalk"], material)
+            # A ball alone mirrors no object.
+            self.assertAlmostEqual(best["objects too"], best["surroundings mirrored"], delta=.02, msg=material)
+            self.assertTrue(all(row["frame_ms"] > 0 and row["light_ms"] > 0 for row in own))
+        self.assertTrue((out / "materials.svg").stat().st_size > 1000)
+        self.assertIn("gold", (out / "materials.csv").read_text())
+        self.expect_refusal(["--materials", "--bands"], "chart", "--materials", "--bands", 3)
+        self.expect_refusal(["absent.obj"], "chart", "--materials", "--asset", "absent.obj",
+                            "--out", self.root / "none")
+
     def test_ways_to_trace_a_light_are_charted(self):
         out = self.root / "ways"
         rows = self.run_json("chart", "--direct-light", "--asset", "builtin:walker", "--out", out)["rows"]

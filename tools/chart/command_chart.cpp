@@ -209,6 +209,15 @@ void add_chart(CLI::App& parent, Action& action) {
           ->excludes(governor)
           ->excludes(sensor)
           ->group("A light at vertices instead");
+  CLI::Option* const materials =
+      c->add_flag("--materials", chart_options.materials,
+                  "Chart ways to draw gold, chrome, brushed steel and plastic: error of the object "
+                  "against time of a light estimate and a frame; by default of builtin:knot and "
+                  "builtin:ball in the built-in room")
+          ->excludes(governor)
+          ->excludes(sensor)
+          ->excludes(direct_light)
+          ->group("Materials instead");
   CLI::Option* const light_track =
       c->add_flag("--light-track", chart_options.light_track,
                   "Chart bytes against the error of the light for several coders of the maps of a "
@@ -216,6 +225,7 @@ void add_chart(CLI::App& parent, Action& action) {
           ->excludes(governor)
           ->excludes(sensor)
           ->excludes(direct_light)
+          ->excludes(materials)
           ->group("Coding of a light track instead");
   CLI::Option* const still =
       c->add_option("--still", chart_options.stills_charted,
@@ -224,6 +234,7 @@ void add_chart(CLI::App& parent, Action& action) {
           ->excludes(sensor)
           ->excludes(direct_light)
           ->excludes(light_track)
+          ->excludes(materials)
           ->group("Coding of HDR pictures instead");
   const char* const kClip = "Compression of a clip's transfer instead";
   CLI::Option* const clip =
@@ -237,6 +248,7 @@ void add_chart(CLI::App& parent, Action& action) {
           ->excludes(direct_light)
           ->excludes(light_track)
           ->excludes(still)
+          ->excludes(materials)
           ->group(kClip);
   c->add_option("--light-map", chart_options.light_map,
                 "Size of the light map, WIDTHxHEIGHT texels, 8 to 4096 each")
@@ -280,10 +292,14 @@ void add_chart(CLI::App& parent, Action& action) {
        {"--environment", "--with-procedural", "--bands", "--max-lights", "--max-shadow-error",
         "--error", "--truncated", "--shard", "--merge", "--slurm"})
     direct_light->excludes(c->get_option(other));
+  for (const char* const other : {"--bands", "--max-lights", "--max-shadow-error", "--truncated",
+                                  "--shard", "--merge", "--slurm"})
+    materials->excludes(c->get_option(other));
   add_json(c, chart_options.json);
   c->callback([&] {
     action = [] {
       if (chart_options.direct_light) return chart_direct_light(chart_options);
+      if (chart_options.materials) return chart_materials(chart_options);
       if (chart_options.light_track) return chart_light_track(chart_options);
       if (!chart_options.stills_charted.empty()) return chart_stills(chart_options);
       return chart_options.animation.empty() ? chart(chart_options) : chart_clip(chart_options);

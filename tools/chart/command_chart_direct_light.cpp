@@ -6,7 +6,6 @@
 #include <cmath>
 #include <functional>
 #include <glm/geometric.hpp>
-#include <map>
 #include <nlohmann/json.hpp>
 #include <optional>
 
@@ -23,8 +22,8 @@
 #include "tools/chart/charts/chart_options.h"
 #include "tools/chart/charts/chart_plot.h"
 #include "tools/chart/charts/light_chart.h"
+#include "tools/chart/charts/panel_plot.h"
 #include "tools/chart/peers/visibility_cache.h"
-#include "tools/chart/plots.h"
 #include "tools/common/print.h"
 #include "tools/common/progress.h"
 #include "tools/farm/core_limit.h"
@@ -37,7 +36,6 @@ namespace {
 
 constexpr std::array kRadii_deg = {.27, 1.7, 4., 15.};
 constexpr int kTimings = 7;
-constexpr double kMinPlotted = .01;  // per cent: a logarithmic axis has no zero
 
 struct DirectLightPoint {
   std::string mesh;
@@ -220,37 +218,13 @@ nlohmann::ordered_json to_json(const DirectLightPoint& p) {
           {"traced_fraction", p.traced ? nlohmann::ordered_json(*p.traced) : nullptr}};
 }
 
-std::string array_of(const std::string& name, const std::vector<std::string>& texts) {
-  std::vector<std::string> quoted;
-  for (const std::string& text : texts) quoted.push_back(gnuplot_quoted(text));
-  return fmt::format("array {}[{}] = [{}]\n", name, texts.size(), fmt::join(quoted, ", "));
-}
-
-// One panel a mesh and light, one line a method.
 std::string plot_of(const std::vector<DirectLightPoint>& points) {
-  std::vector<std::string> methods, panels;
-  std::map<std::string, std::map<std::string, std::string>> rows;
-  const auto note = [](std::vector<std::string>& names, const std::string& name) {
-    if (std::ranges::find(names, name) == names.end()) names.push_back(name);
-  };
-  for (const DirectLightPoint& p : points) {
-    const std::string panel = fmt::format("{}, light of {} degrees", p.mesh, p.radius_deg);
-    note(panels, panel), note(methods, p.method);
-    rows[panel][p.method] +=
-        fmt::format("{:.5g}\t{:.5g}\n", p.ms, std::max(kMinPlotted, 100 * p.error));
-  }
-  std::string script = fmt::format("columns = {}\nrows = {}\n", kRadii_deg.size(),
-                                   panels.size() / kRadii_deg.size()) +
-                       array_of("methods", methods) + array_of("titles", panels);
-  for (std::size_t i = 0; i < panels.size(); ++i) {
-    std::string data;
-    for (const std::string& method : methods) {
-      const std::string& own = rows[panels[i]][method];
-      data += (own.empty() ? "NaN\tNaN\n" : own) + "\n\n";
-    }
-    script += gnuplot_block(fmt::format("panel{}", i + 1), data);
-  }
-  return script + kDirectLightPlot;
+  std::vector<PanelPoint> out;
+  for (const DirectLightPoint& p : points)
+    out.push_back(
+        {fmt::format("{}, light of {} degrees", p.mesh, p.radius_deg), p.method, p.ms, p.error});
+  return panel_plot(out, kRadii_deg.size(), "Time of one light on one thread (ms)",
+                    "Error of the irradiance (%)");
 }
 
 }  // namespace

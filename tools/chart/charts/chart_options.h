@@ -27,6 +27,7 @@ struct ChartOptions {
   double shortest_exposure_s = 1. / 64000;  // of the environment camera, for that
   std::string view_lens = "pinhole";        // of the view camera, for that
   bool direct_light = false;                // chart ways to trace one light at vertices instead
+  bool materials = false;                   // chart ways to draw what mirrors instead
   bool light_track = false;                 // chart the coding of maps of the surroundings instead
   std::vector<std::string> stills_charted;  // chart the coding of these HDR pictures instead
   std::string animation;  // of the first asset: chart the compression of its transfer instead
@@ -41,6 +42,8 @@ struct ChartOptions {
 Result<void> chart_clip(const ChartOptions& options);
 /// Error against time of ways to trace a distant light at an object's vertices.
 Result<void> chart_direct_light(const ChartOptions& options);
+/// Error against time of ways to draw metal and plastic.
+Result<void> chart_materials(const ChartOptions& options);
 /// Bytes against the light's error of ways to keep maps of the surroundings.
 Result<void> chart_light_track(const ChartOptions& options);
 /// Bits a pixel against error of ways to keep HDR pictures.
