@@ -6,6 +6,7 @@
 #include <glm/geometric.hpp>
 #include <glm/matrix.hpp>
 
+#include "compositor/projection.h"
 #include "compositor/surroundings.h"
 #include "core/conventions.h"
 #include "core/threads/parallel.h"
@@ -216,8 +217,8 @@ void MirrorRays::meet_first(const MirroredByObject& o, const ViewOfObjects& seen
   const glm::dvec2 within(std::fmod(.5 + .7548777 * sample, 1.),
                           std::fmod(.5 + .5698403 * sample, 1.));
   for (std::size_t i = 0; i < kLanes; ++i) {
-    const glm::dvec2 pixel = glm::dvec2(o.rect.x0, o.rect.y0) +
-                             double(o.step) * (glm::dvec2(x + static_cast<int>(i), y) + within);
+    const glm::dvec2 pixel =
+        glm::dvec2(o.x0, o.y0) + double(o.step) * (glm::dvec2(x + static_cast<int>(i), y) + within);
     const auto direction = calib::direction_from_pixel(seen.camera, pixel);
     lanes.active[i] = direction.has_value();
     lanes.send(i, glm::vec3(eye.translation),
@@ -322,36 +323,37 @@ void MirrorRays::trace_row(const MirroredByObject& o, const ViewOfObjects& seen,
 }
 
 // Texels stand on multiples of their size, so that they do not wander with the object.
-void MirrorRays::choose_texels(MirroredByObject& o, const ViewOfObjects& seen, double rays) const {
+int MirrorRays::choose_texels(MirroredByObject& o, const ViewOfObjects& seen, double rays) const {
   const prt::Bounds bounds = bounds_of(form_of(scene_->objects[o.object].baked));
   std::array<glm::dvec3, 8> corners;
   for (std::size_t i = 0; i < 8; ++i)
     corners[i] = seen.poses[o.object] * glm::dvec3((i & 1 ? bounds.high : bounds.low).x,
                                                    (i & 2 ? bounds.high : bounds.low).y,
                                                    (i & 4 ? bounds.high : bounds.low).z);
-  o.rect = compositor::ViewProjection(seen.view.camera, seen.view.lens.get()).reach(corners);
-  if (o.rect.empty()) return;
-  const double pixels = double(o.rect.width()) * o.rect.height(),
+  const compositor::Rect rect =
+      compositor::ViewProjection(seen.view.camera, seen.view.lens.get()).reach(corners);
+  if (rect.empty()) return 0;
+  const double pixels = double(rect.width()) * rect.height(),
                side = std::sqrt(pixels * o.least_samples / rays);
   // A size stays until it is a third off.
   if (!(side <= o.step && o.step <= std::max(1., 1.33 * side)))
     o.step = std::max(1, static_cast<int>(std::ceil(side)));
   o.samples = std::clamp(static_cast<int>(rays * o.step * o.step / pixels), o.least_samples,
                          kMaxTexelSamples);
-  o.rect.x0 -= o.rect.x0 % o.step, o.rect.y0 -= o.rect.y0 % o.step;
+  o.x0 = rect.x0 - rect.x0 % o.step, o.y0 = rect.y0 - rect.y0 % o.step;
+  o.columns = (rect.x1 - o.x0 + o.step - 1) / o.step;
+  return (rect.y1 - o.y0 + o.step - 1) / o.step;
 }
 
 void MirrorRays::trace(MirroredByObject& o, const ViewOfObjects& seen, double rays) const {
   o.rows.clear();
   if (!seen.visible[o.object]) return;
-  choose_texels(o, seen, rays);
-  const int width = (o.rect.width() + o.step - 1) / o.step,
-            height = (o.rect.height() + o.step - 1) / o.step;
+  const int height = choose_texels(o, seen, rays);
   o.rows.resize(static_cast<std::size_t>(height));
   parallel_for(0, height, [&](int y) {
     MirrorRow& row = o.rows[static_cast<std::size_t>(y)];
-    row.weights.assign(static_cast<std::size_t>(width), 0);
-    row.open.assign(static_cast<std::size_t>(width), 0);
+    row.weights.assign(static_cast<std::size_t>(o.columns), 0);
+    row.open.assign(static_cast<std::size_t>(o.columns), 0);
     trace_row(o, seen, y, row);
   });
 }

@@ -11,7 +11,6 @@
 #include <vector>
 
 #include "calib/camera/camera_model.h"
-#include "compositor/projection.h"
 #include "compositor/view.h"
 #include "core/image.h"
 #include "core/pose.h"
@@ -60,10 +59,11 @@ struct MirrorRow {
 /// What one object mirrors of objects in one view.
 struct MirroredByObject {
   std::size_t object = 0;
-  int least_samples = 1;    // that its lobes take
-  int samples = 1;          // of a texel
-  compositor::Rect rect{};  // corner on a multiple of `step`
-  int step = 1;             // pixels along a texel's side
+  int least_samples = 1;  // that its lobes take
+  int samples = 1;        // of a texel
+  int step = 1;           // pixels along a texel's side
+  int x0 = 0, y0 = 0;     // the first texel's corner, on multiples of `step`
+  int columns = 0;        // texels
   std::vector<MirrorRow> rows{};
 };
 
@@ -91,7 +91,8 @@ class MirrorRays {
   struct Lanes;
   explicit MirrorRays(const PreparedScene& scene, prt::RayWorld world)
       : scene_(&scene), world_(std::move(world)) {}
-  void choose_texels(MirroredByObject& o, const ViewOfObjects& seen, double rays) const;
+  // out: rows of texels
+  int choose_texels(MirroredByObject& o, const ViewOfObjects& seen, double rays) const;
   void trace_row(const MirroredByObject& o, const ViewOfObjects& seen, int y, MirrorRow& out) const;
   void meet_first(const MirroredByObject& o, const ViewOfObjects& seen, int x, int y, int sample,
                   Lanes& lanes) const;

@@ -176,9 +176,8 @@ void MirroredObjects::light_row(const MirrorLighting& l, int y, compositor::Mirr
 
 compositor::MirroredPicture MirroredObjects::picture_of(const MirrorLighting& l) const {
   compositor::MirroredPicture out;
-  const int width = static_cast<int>(l.o.rows[0].weights.size()),
-            height = static_cast<int>(l.o.rows.size());
-  out.x0 = l.o.rect.x0, out.y0 = l.o.rect.y0, out.step = l.o.step;
+  const int width = l.o.columns, height = static_cast<int>(l.o.rows.size());
+  out.x0 = l.o.x0, out.y0 = l.o.y0, out.step = l.o.step;
   out.light = Image<Rgb>(width, height);
   out.open = Image<Rgb>(width, height, {1, 1, 1});
   Image<std::uint8_t> known(width, height);
@@ -205,8 +204,8 @@ void MirroredObjects::trace(CameraView& view, const ViewOfObjects& seen) {
                  {seen.poses.begin(), seen.poses.end()},
                  {seen.visible.begin(), seen.visible.end()}};
   if (keeps_time_)
-    max_rays_ =
-        std::clamp(max_rays_ * std::clamp(kTarget_ms / watch.ms(), .7, 1.1), kMinRays, kMaxRays);
+    max_rays_ = std::clamp(max_rays_ * std::clamp(kTarget_ms / watch.ms(), .7, 1.1), kMinRays,
+                           kMaxLiveRays);
 }
 
 void MirroredObjects::update(std::size_t camera, const ViewOfObjects& seen,

@@ -32,9 +32,12 @@ class MirroredObjects {
   void begin(const std::vector<int>& handles, compositor::Compositor& compositor) const;
   /// Of an object whose form is another one now.
   void update_vertices(std::size_t object);
-  /// From now on time counts: rays are fewer where they take more than a fifth of a frame. Before,
-  /// results are the same on every machine.
-  void keep_time() { keeps_time_ = true; }
+  /// From now on time counts: rays are a quarter of those before, and fewer where they take more
+  /// than 7 ms. Before, results are the same on every machine.
+  void keep_time() {
+    keeps_time_ = true;
+    max_rays_ = kMaxLiveRays;
+  }
 
   struct LightOnObjects {
     const compositor::Surroundings& surroundings;
@@ -78,7 +81,8 @@ class MirroredObjects {
                  Image<std::uint8_t>& known) const;
   compositor::MirroredPicture picture_of(const MirrorLighting& l) const;
 
-  static constexpr double kMaxRays = 1 << 16, kMinRays = 1 << 12;  // of a view, first ones
+  // Of a view, first ones.
+  static constexpr double kMaxRays = 1 << 18, kMaxLiveRays = 1 << 16, kMinRays = 1 << 12;
 
   const PreparedScene* scene_;
   std::optional<MirrorRays> rays_;           // where any() holds

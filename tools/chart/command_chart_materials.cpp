@@ -162,6 +162,7 @@ class MaterialCase {
     PENUMBRA_ASSIGN(stage, runtime::CompositeStage::create(
                                {camera}, *scene_, compositor::Compositor::Surface::kOffscreen,
                                stage_times, 2, sampling));
+    stage->keep_time();
     capture::Frame frame;
     frame.pixels = std::make_shared<const FramePixels>(Image<Rgb>(1280, 720, {.1f, .1f, .1f}));
     runtime::Composited out;
