@@ -19,6 +19,7 @@
 #include "prt/rays/rays.h"
 #include "runtime/scene/scene.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::runtime {
 
 /// Where a ray met a surface that sends some of its own light: what of that counts.
@@ -112,3 +113,4 @@ class MirrorRays {
 int mirror_samples_of(const prt::BakedObject& baked);
 
 }  // namespace penumbra::runtime
+#pragma GCC visibility pop

@@ -19,6 +19,7 @@
 #include "runtime/scene/scene.h"
 #include "runtime/shading/mirror_rays.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::runtime {
 
 class MirroredObjects {
@@ -95,3 +96,4 @@ class MirroredObjects {
 };
 
 }  // namespace penumbra::runtime
+#pragma GCC visibility pop
