@@ -1,5 +1,6 @@
 #include <algorithm>
 #include <cmath>
+#include <cstdint>
 #include <glm/geometric.hpp>
 #include <glm/mat3x3.hpp>
 #include <glm/matrix.hpp>
@@ -9,6 +10,7 @@
 #include <optional>
 #include <tuple>
 #include <utility>
+#include <vector>
 
 #include "prt/geometry/animation.h"
 #include "prt/geometry/mesh.h"
@@ -219,6 +221,44 @@ class Subdivider {
 };
 
 }  // namespace
+
+namespace {
+
+// Each edge between two triangles that run along it in opposite ways.
+bool is_closed_surface(const Mesh& mesh) {
+  const std::vector<std::uint32_t> place = places_of(mesh.positions);
+  std::vector<std::uint64_t> edges;  // smaller place, larger place, direction
+  edges.reserve(3 * mesh.triangles.size());
+  for (const auto& t : mesh.triangles)
+    for (std::size_t k = 0; k < 3; ++k) {
+      const std::uint64_t a = place[t[k]], b = place[t[(k + 1) % 3]];
+      edges.push_back(std::min(a, b) << 33 | std::max(a, b) << 1 | (a < b ? 0u : 1u));
+    }
+  std::ranges::sort(edges);
+  for (std::size_t i = 0; i + 1 < edges.size(); i += 2)
+    if (edges[i + 1] != (edges[i] | 1) || edges[i] & 1) return false;
+  for (std::size_t i = 2; i < edges.size(); i += 2)
+    if (edges[i] >> 1 == edges[i - 1] >> 1) return false;
+  return edges.size() % 2 == 0 && !edges.empty();
+}
+
+}  // namespace
+
+bool turn_outwards(Mesh& mesh) {
+  const auto& p = mesh.positions;
+  double volume = 0, agree = 0;
+  for (const auto& t : mesh.triangles) {
+    const glm::dvec3 a(p[t[0]] - p[0]), b(p[t[1]] - p[0]), c(p[t[2]] - p[0]),
+        across = glm::cross(b - a, c - a);
+    volume += glm::dot(a, across);
+    agree += glm::dot(across, glm::dvec3(mesh.normals[t[0]]));
+  }
+  if (volume >= 0 || !is_closed_surface(mesh)) return false;
+  for (auto& t : mesh.triangles) std::swap(t[1], t[2]);
+  if (agree > 0)
+    for (glm::vec3& n : mesh.normals) n = -n;
+  return true;
+}
 
 std::vector<std::array<std::uint32_t, 2>> subdivide(Mesh& mesh, float longest_edge,
                                                     std::size_t triangle_limit) {
