@@ -10,6 +10,10 @@ std::optional<capture::FramePose> HeadPoses::pose_of(const capture::Frame& frame
   const std::scoped_lock lock(mutex_);
   asked_ = frame.time;
   if (head && head->position_tracked) place_tracked_ = true;
+  // A headset that was put away, or another one, has its time to find its place again.
+  if (!head || !head->rotation_tracked) untracked_since_.reset(), turns_alone_ = false;
+  if (const std::string name = headset_->state().headset; name != name_)
+    name_ = name, place_tracked_ = head && head->position_tracked;
   // What the runtime makes up while it does not see would let objects drift.
   if (!head || !head->rotation_tracked ||
       (!head->position_tracked && !follows_turns_alone(frame.time))) {

@@ -6,6 +6,7 @@
 #include <memory>
 #include <mutex>
 #include <optional>
+#include <string>
 
 #include "capture/poses/pose_source.h"
 #include "service/headset/headset.h"
@@ -31,7 +32,8 @@ class HeadPoses : public capture::PoseSource {
   std::optional<TimestampNs> last_, asked_;
   std::optional<TimestampNs> untracked_since_;  // the place alone, and never tracked before
   bool turns_alone_ = false;                    // that place is taken
-  bool place_tracked_ = false;                  // it was at least once
+  bool place_tracked_ = false;                  // it was at least once, of this headset
+  std::string name_;                            // of the headset
 };
 
 }  // namespace penumbra::service

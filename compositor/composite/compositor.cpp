@@ -137,6 +137,7 @@ void Compositor::use_lens(const ViewLens& lens) {
 
 int Compositor::add_object(const prt::BakedObject& object, const Appearance& appearance) {
   impl_->context->make_current();
+  impl_->floor_ratios.emplace_back();
   impl_->receiver_of.push_back(object.receiver ? impl_->receivers.add(object.receiver->grid) : -1);
   return impl_->layers->add_object(object, appearance);
 }
@@ -248,7 +249,6 @@ Result<void> Compositor::Impl::check(const View& view, const FramePixels& frame)
 void Compositor::Impl::mirror_floor() {
   if (receivers.changes() == mirrored_changes) return;
   mirrored_changes = receivers.changes();
-  floor_ratios.resize(receiver_of.size());
   for (std::size_t i = 0; i < receiver_of.size(); ++i) {
     const int object = static_cast<int>(i);
     if (receiver_of[i] >= 0 && layers->mirrors(object) && receivers.is_shown(receiver_of[i]))

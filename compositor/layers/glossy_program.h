@@ -325,13 +325,15 @@ void main() {
 #ifdef OBJECTS
   vec2 at_objects = objects_place.xy + gl_FragCoord.xy * objects_place.zw;
   vec3 of_objects = textureLod(objects, at_objects, 0.0).rgb;
-  vec3 seen = occlusion * textureLod(past_objects, at_objects, 0.0).rgb;
+  // What a picture of occlusion stands for is traced.
+  vec3 past = textureLod(past_objects, at_objects, 0.0).rgb, seen = past;
 #else
   float seen = occlusion * open_fraction(r, plain);
 #endif
 #ifdef NORMAL_MAP
   float above = clamp(1.0 + dot(r, plain), 0.0, 1.0);
-  seen *= above * above;
+  above *= above;
+  seen *= above;
 #endif
   vec3 own = base.rgb * diffuse_light;  // what it sees of itself is lit like it
   float alpha = max(rough * rough, 1e-3);
@@ -348,7 +350,12 @@ void main() {
   around = above_floor(around, r, at_level, alpha);
 #endif
 #ifdef OBJECTS
-  vec3 shown = fraction * (of_objects + seen * around);
+#ifdef NORMAL_MAP
+  vec3 beside = past * (1.0 - above) * own;
+#else
+  vec3 beside = vec3(0);
+#endif
+  vec3 shown = fraction * (of_objects + seen * around + beside);
 #else
   vec3 shown = fraction * mix(own, around, seen);
 #endif

@@ -32,8 +32,6 @@ class SceneImport {
           ErrorCode::kInvalid, file_,
           out_.degenerate_triangles > 0 ? "has only degenerate triangles" : "has no triangles");
     out_.left_out = materials_.left_out();
-    if (turn_outwards(out_.mesh))
-      out_.left_out.emplace_back("its triangles face inwards, and are turned round");
     const auto& all = materials_.all();
     if (std::ranges::none_of(all, [](const Material& m) { return bool(m.base_colour_map); })) {
       weld(out_.mesh);

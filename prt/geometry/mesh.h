@@ -48,8 +48,8 @@ float likely_unit_m(const Mesh& mesh);
 /// Affine map of positions; normals follow by the inverse transpose.
 void transform(Mesh& mesh, const glm::dmat4& matrix);
 void append(Mesh& mesh, const Mesh& other);
-/// A closed surface, each edge between two triangles that agree on their side, whose triangles face
-/// inwards is turned round, and its normals with them where they face inwards too.
+/// A closed surface, each edge between two triangles that agree on their side, whose volume is
+/// negative as a whole is turned round, and its normals with it where they face inwards too.
 /// out: whether it was
 bool turn_outwards(Mesh& mesh);
 /// Splits every edge longer than `longest_edge` (shared edges alike, so no cracks); at most

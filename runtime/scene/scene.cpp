@@ -253,6 +253,11 @@ Result<void> make_fine(const std::string& name, float edge_fraction, std::size_t
   return {};
 }
 
+bool is_gltf_name(const std::string& asset) {
+  const std::string suffix = std::filesystem::path(asset).extension().string();
+  return suffix == ".glb" || suffix == ".gltf";
+}
+
 }  // namespace
 
 Result<LoadedAsset> load_asset(const std::string& asset, Rgb albedo, float edge_fraction,
@@ -285,6 +290,9 @@ Result<LoadedAsset> load_asset(const std::string& asset, Rgb albedo, float edge_
     for (const std::string& line : imported.left_out) log_warning("{}: {}", asset, line);
     mesh = std::move(imported.mesh);
     out.surface = std::move(imported.surface);
+    // A real room rightly faces inwards, and glTF says which way its triangles face.
+    if (edge_fraction > 0 && !is_gltf_name(asset) && prt::turn_outwards(mesh))
+      log_warning("{}: its triangles face inwards, and are turned round", asset);
   }
   std::shared_ptr<prt::SurfaceMaterials> materials;
   if (out.surface) {

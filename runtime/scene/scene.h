@@ -224,7 +224,8 @@ glm::dvec3 floor_normal(const std::vector<prt::Plane>& planes, const glm::dvec3&
 /// An asset in its own frame, or a built-in one. `edge_fraction`: longest edge after subdivision,
 /// as a fraction of the bounding radius (vertex transfer needs short edges); 0 leaves the mesh.
 /// Above .05 the built-in knot and twist have a quarter of their vertices. A file's mesh of more
-/// than `max_vertices` is simplified.
+/// than `max_vertices` is simplified. With an `edge_fraction` above 0 a closed mesh of a format
+/// other than glTF that is inside out is turned round, and the log says so.
 struct LoadedAsset {
   prt::Mesh mesh;
   std::shared_ptr<const prt::SurfaceMaterials> surface{};  // null: its albedo is all

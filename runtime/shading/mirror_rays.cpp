@@ -187,7 +187,9 @@ Result<MirrorRays> MirrorRays::create(const PreparedScene& scene) {
     PENUMBRA_TRY(out.world_.add(form_of(o.baked)));
     out.radii_.push_back(prt::radius_of(form_of(o.baked)));
     const prt::SurfaceMaterials* const surface = surface_of(o.baked);
-    out.opaque_.push_back(!surface || !std::ranges::all_of(surface->materials, is_blended));
+    out.opaque_.push_back(!surface || !std::ranges::all_of(surface->material, [&](std::uint16_t m) {
+      return is_blended(surface->materials[m]);
+    }));
   }
   return out;
 }

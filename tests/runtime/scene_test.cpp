@@ -609,5 +609,25 @@ TEST_F(SceneFile, TurntableTurnsAboutTheNormalAndClosesAfterOneTurn) {
             1.9);
 }
 
+// An object of an OBJ that is wound the other way would be drawn black; a real room faces inwards.
+TEST(LoadAsset, AnObjectThatIsInsideOutIsTurnedRoundAndARealMeshIsNot) {
+  const test::TempFolder folder;
+  const std::string file = (folder.path() / "in.obj").string();
+  std::ofstream(file) << "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\n"
+                         "f 1 2 3\nf 1 4 2\nf 1 3 4\nf 2 4 3\n";
+  const auto volume = [](const prt::Mesh& m) {
+    double sum = 0;
+    for (const auto& t : m.triangles)
+      sum += glm::dot(glm::dvec3(m.positions[t[0]]),
+                      glm::cross(glm::dvec3(m.positions[t[1]]), glm::dvec3(m.positions[t[2]])));
+    return sum;
+  };
+  const auto object = load_asset(file, {.5f, .5f, .5f}, .5f),
+             real = load_asset(file, {.5f, .5f, .5f}, 0);
+  ASSERT_TRUE(object && real);
+  EXPECT_NEAR(volume(object->mesh), 1, 1e-5);
+  EXPECT_NEAR(volume(real->mesh), -1, 1e-5);
+}
+
 }  // namespace
 }  // namespace penumbra::runtime
