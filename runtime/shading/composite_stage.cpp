@@ -644,9 +644,9 @@ void CompositeStage::mirror_objects(const compositor::View& view, const capture:
 Result<void> CompositeStage::process(const capture::Frame& frame,
                                      const lighting::LightEstimate& light, Composited& out) {
   const bool relit = shade(light, (frame.time - TimestampNs{0}).count(), frame.camera);
-  const StageTimer timer(times_, "composite");
   const compositor::View view = view_of(frame);
   mirror_objects(view, frame, relit);
+  const StageTimer timer(times_, "composite");
   PENUMBRA_ASSIGN(touched, compositor_->composite(view, *frame.pixels, out.pixels));
   out.touched = touched;
   out.relit = relit;
@@ -657,12 +657,12 @@ Result<void> CompositeStage::process(const capture::Frame& frame,
 Result<void> CompositeStage::draw(const capture::Frame& frame, const lighting::LightEstimate& light,
                                   TimestampNs scene_time, PendingFrame& out) {
   out.relit_ = shade(light, (scene_time - TimestampNs{0}).count(), frame.camera);
-  const Stopwatch watch;
   out.camera_ = frame.pixels;
   out.opacity_ = frame.opacity;
   out.times_ = &times_;
   const compositor::View view = view_of(frame);
   mirror_objects(view, frame, out.relit_);
+  const Stopwatch watch;
   PENUMBRA_TRY(compositor_->draw(view, *frame.pixels, out.drawn_));
   out.drawing_ms_ = watch.ms();
   return {};

@@ -186,6 +186,7 @@ Result<MirrorRays> MirrorRays::create(const PreparedScene& scene) {
   for (const PreparedObject& o : scene.objects) {
     PENUMBRA_TRY(out.world_.add(form_of(o.baked)));
     out.radii_.push_back(prt::radius_of(form_of(o.baked)));
+    out.bounds_.push_back(prt::bounds_of(form_of(o.baked)));
     const prt::SurfaceMaterials* const surface = surface_of(o.baked);
     out.opaque_.push_back(!surface || !std::ranges::all_of(surface->material, [&](std::uint16_t m) {
       return is_blended(surface->materials[m]);
@@ -195,7 +196,9 @@ Result<MirrorRays> MirrorRays::create(const PreparedScene& scene) {
 }
 
 void MirrorRays::update_vertices(std::size_t object) {
-  world_.update_vertices(static_cast<int>(object), form_of(scene_->objects[object].baked));
+  const prt::Mesh& form = form_of(scene_->objects[object].baked);
+  world_.update_vertices(static_cast<int>(object), form);
+  bounds_[object] = prt::bounds_of(form);
 }
 
 void MirrorRays::set_poses(std::span<const Pose> poses) {
@@ -326,7 +329,7 @@ void MirrorRays::trace_row(const MirroredByObject& o, const ViewOfObjects& seen,
 
 // Texels stand on multiples of their size, so that they do not wander with the object.
 int MirrorRays::choose_texels(MirroredByObject& o, const ViewOfObjects& seen, double rays) const {
-  const prt::Bounds bounds = bounds_of(form_of(scene_->objects[o.object].baked));
+  const prt::Bounds& bounds = bounds_[o.object];
   std::array<glm::dvec3, 8> corners;
   for (std::size_t i = 0; i < 8; ++i)
     corners[i] = seen.poses[o.object] * glm::dvec3((i & 1 ? bounds.high : bounds.low).x,

@@ -16,6 +16,7 @@
 #include "core/pose.h"
 #include "core/result.h"
 #include "prt/geometry/material.h"
+#include "prt/geometry/mesh.h"
 #include "prt/rays/rays.h"
 #include "runtime/scene/scene.h"
 
@@ -106,6 +107,7 @@ class MirrorRays {
   const PreparedScene* scene_;
   prt::RayWorld world_;       // all objects, by their numbers
   std::vector<float> radii_;  // of them, metres
+  std::vector<prt::Bounds> bounds_;
   std::vector<bool> opaque_;  // others are not there for those that mirror them
 };
 
