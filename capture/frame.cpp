@@ -39,7 +39,7 @@ int height(const FramePixels& pixels) {
 Result<std::vector<Exposure>> exposures_of(std::span<const double> times_s,
                                            std::span<const double> gains) {
   constexpr std::size_t kMax = 16;
-  constexpr double kLongest_s = 60, kMaxGain = 1e4;
+  constexpr double kShortest_s = 1e-7, kLongest_s = 60, kMinGain = 1e-3, kMaxGain = 1e4;
   if (times_s.empty() || times_s.size() > kMax)
     return fail(ErrorCode::kInvalid, "exposures_s",
                 fmt::format("are not 1 to {} exposure times", kMax));
@@ -49,11 +49,10 @@ Result<std::vector<Exposure>> exposures_of(std::span<const double> times_s,
   std::vector<Exposure> out;
   for (std::size_t i = 0; i < times_s.size(); ++i) {
     const double gain = gains.empty() ? 1 : gains[i];
-    if (!(times_s[i] > 0 && times_s[i] <= kLongest_s))
-      return fail(ErrorCode::kInvalid, "exposures_s",
-                  "has a time that is not above 0 and at most 60 s");
-    if (!(gain > 0 && gain <= kMaxGain))
-      return fail(ErrorCode::kInvalid, "gains", "has a gain that is not above 0 and at most 10000");
+    if (!(times_s[i] >= kShortest_s && times_s[i] <= kLongest_s))
+      return fail(ErrorCode::kInvalid, "exposures_s", "has a time that is not within 1e-7..60 s");
+    if (!(gain >= kMinGain && gain <= kMaxGain))
+      return fail(ErrorCode::kInvalid, "gains", "has a gain that is not within .001..10000");
     out.push_back({Seconds(times_s[i]), Gain(gain)});
   }
   return out;

@@ -161,7 +161,8 @@ void start_recording(HttpContext& context, const Request& q, Response& r) {
 
 void take_snapshot(HttpContext& context, const Request& q, Response& r) {
   if (!has_json(q, r)) return;
-  if (nlohmann::json::parse(q.body, nullptr, false) != json::object())
+  const json body = json::parse(q.body, nullptr, false);
+  if (!body.is_object() || !body.empty())
     return refuse(r, {ErrorCode::kInvalid, "the body", "is not {}"});
   const auto s = context.sources.state.snapshot();
   if (!s.frame) return reply(r, {{"error", "no frame has been composited yet"}}, 503);

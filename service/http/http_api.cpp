@@ -20,6 +20,7 @@
 #include "core/io/log.h"
 #include "runtime/pipeline/report.h"
 #include "service/http/internal/context.h"
+#include "service/http/internal/guarded_server.h"
 #include "service/http/internal/workers.h"
 #include "service/http/loopback.h"
 
@@ -168,11 +169,10 @@ Result<void> clear_socket(const fs::path& path) {
 }  // namespace
 
 struct HttpApi::Impl {
-  static constexpr std::size_t kWorkers = 256;
-  static constexpr int kIdle_s = 1, kPatience_s = 5;
+  static constexpr int kIdle_s = 1;
 
   HttpContext context;
-  httplib::Server over_tcp, over_socket;
+  GuardedServer over_tcp, over_socket;
   std::jthread tcp_thread, socket_thread;
   fs::path socket;
   int port = 0;
@@ -182,11 +182,9 @@ struct HttpApi::Impl {
   void set_limits(httplib::Server& server) {
     server.set_tcp_nodelay(true);
     server.set_payload_max_length(1 << 16);
-    server.set_read_timeout(kPatience_s);
-    server.set_write_timeout(kPatience_s);
     server.set_keep_alive_timeout(kIdle_s);
     server.set_keep_alive_max_count(10'000);
-    server.new_task_queue = [] { return new Workers(kWorkers); };
+    server.new_task_queue = [] { return new Workers(GuardedServer::kMaxClients); };
     server.set_exception_handler([](const Request&, Response& r, const std::exception_ptr&) {
       reply(r, {{"error", "the request could not be answered"}}, 500);
     });
@@ -199,6 +197,10 @@ struct HttpApi::Impl {
     // In parts it could be of any length.
     if (q.has_header("Transfer-Encoding") || (has_body && !q.has_header("Content-Length"))) {
       reply(r, {{"error", "the request does not say how long its body is"}}, 411);
+      return true;
+    }
+    if (q.get_header_value_count("Host") > 1) {
+      reply(r, {{"error", "the request has more than one Host"}}, 400);
       return true;
     }
     if (!tcp) return false;  // who may open the socket may ask
@@ -237,7 +239,10 @@ struct HttpApi::Impl {
       // Parts of what changes with each request make no sense: all of it is answered.
       const_cast<Request&>(q).ranges.clear();
       tell_origin(q, r);
-      if (is_refused(q, r, tcp)) return Handled::Handled;
+      if (is_refused(q, r, tcp)) {
+        r.set_header("Connection", "close");  // its body is left unread
+        return Handled::Handled;
+      }
       if (q.method != "OPTIONS") return Handled::Unhandled;
       r.status = 204;
       return Handled::Handled;
@@ -269,7 +274,8 @@ struct HttpApi::Impl {
   }
 
   // A service that nobody can ask is better begun anew.
-  void listen(httplib::Server& server) const {
+  void listen(GuardedServer& server) const {
+    server.widen_queue();
     (void)server.listen_after_bind();
     if (context.stopping) return;
     log_warning("http: the system takes no more connections: the service ends");
@@ -314,6 +320,7 @@ struct HttpApi::Impl {
 
   ~Impl() {
     context.stopping = true;
+    over_tcp.stop_waiting(), over_socket.stop_waiting();
     if (tcp_thread.joinable()) wait_for(over_tcp), over_tcp.stop();
     if (socket_thread.joinable()) wait_for(over_socket), over_socket.stop();
     std::error_code ignored;

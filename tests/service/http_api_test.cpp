@@ -278,6 +278,13 @@ TEST(HttpApi, ChangesThatAreNoneAreRefusedByName) {
     EXPECT_EQ(refused_light->status, 400) << body;
     EXPECT_NE(refused_light->body.find("light"), std::string::npos) << refused_light->body;
   }
+  // A product beyond what radiance holds would have ended the service.
+  for (const char* body :
+       {R"({"exposures_s": [1e-13]})", R"({"exposures_s": [1e-5], "gains": [1e-300]})",
+        R"({"exposures_s": [100]})", R"({"exposures_s": [0.01], "gains": [1e9]})"})
+    EXPECT_EQ(s.client->Put("/v1/cameras/environment/exposures", body, "application/json")->status,
+              400)
+        << body;
   EXPECT_EQ(s.client->Post("/v1/recording", "{}", "application/json")->status, 503);
   EXPECT_EQ(s.client->Delete("/v1/recording")->status, 404);
   EXPECT_EQ(s.client->Post("/v1/snapshot", "{}", "application/json")->status, 503);

@@ -1,0 +1,136 @@
+#include "service/http/internal/guarded_server.h"
+
+#include <poll.h>
+#include <sys/socket.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <array>
+#include <chrono>
+#include <cstdlib>
+#include <cstring>
+#include <exception>
+#include <string>
+
+namespace penumbra::service {
+
+using namespace std::chrono_literals;
+using Clock = std::chrono::steady_clock;
+
+// In slices, so that a stop is not waited for.
+class GuardedServer::Client final : public httplib::Stream {
+ public:
+  static constexpr auto kPatience = 5s, kShortPatience = 1s;  // the latter where clients are many
+
+  Client(socket_t socket, const GuardedServer& server) : socket_(socket), server_(server) {}
+
+  /// Until bytes of a next request are there. False: none come.
+  bool await_request(std::chrono::seconds idle) {
+    request_bytes_ = 0;
+    const bool comes = next_ < filled_ || wait(POLLIN, Clock::now() + idle);
+    deadline_ = Clock::now() + (is_crowded() ? kShortPatience : kPatience);
+    return comes;
+  }
+  /// Its head has been read, and says that so many bytes follow.
+  void expect_body(std::size_t bytes) { body_ends_ = request_bytes_ + bytes; }
+  bool has_read_body() const { return request_bytes_ == body_ends_; }
+
+  bool is_readable() const override { return next_ < filled_ || ready(POLLIN, 0ms); }
+  bool is_writable() const override {
+    std::byte byte{};
+    const bool open = ::recv(socket_, &byte, 1, MSG_PEEK | MSG_DONTWAIT) != 0;
+    return open && wait(POLLOUT, Clock::now() + kPatience);
+  }
+  ssize_t read(char* to, std::size_t size) override {
+    if (next_ == filled_ && !fill()) return -1;
+    const std::size_t n = std::min(
+        {size, filled_ - next_, kMaxRequest_bytes - std::min(request_bytes_, kMaxRequest_bytes)});
+    if (n == 0) return -1;
+    std::memcpy(to, buffer_.data() + next_, n);
+    next_ += n, request_bytes_ += n;
+    return static_cast<ssize_t>(n);
+  }
+  ssize_t write(const char* from, std::size_t size) override {
+    return is_writable() ? ::send(socket_, from, size, MSG_NOSIGNAL) : -1;
+  }
+  void get_remote_ip_and_port(std::string&, int&) const override {}
+  void get_local_ip_and_port(std::string&, int&) const override {}
+  socket_t socket() const override { return socket_; }
+
+  /// What was sent arrives only where nothing that the client sent is left unread.
+  void close() {
+    ::shutdown(socket_, SHUT_WR);
+    const auto until = Clock::now() + 200ms;
+    std::size_t left = 1 << 20;
+    while (left > 0 && wait(POLLIN, until)) {
+      const ssize_t n = ::recv(socket_, buffer_.data(), buffer_.size(), MSG_DONTWAIT);
+      if (n <= 0) break;
+      left -= std::min(left, static_cast<std::size_t>(n));
+    }
+    ::close(socket_);
+  }
+
+ private:
+  bool is_crowded() const { return server_.clients_ > kMaxClients / 2; }
+  bool ready(short events, std::chrono::milliseconds timeout) const {
+    pollfd p{socket_, events, 0};
+    return ::poll(&p, 1, static_cast<int>(timeout.count())) > 0;
+  }
+  bool wait(short events, Clock::time_point until) const {
+    constexpr auto kSlice = 50ms;
+    do {
+      if (server_.stopping_) return false;
+      if (ready(events, kSlice)) return true;
+    } while (Clock::now() < until);
+    return false;
+  }
+  bool fill() {
+    if (Clock::now() > deadline_ || !wait(POLLIN, deadline_)) return false;
+    const ssize_t n = ::recv(socket_, buffer_.data(), buffer_.size(), 0);
+    next_ = 0, filled_ = n > 0 ? static_cast<std::size_t>(n) : 0;
+    return n > 0;
+  }
+
+  const socket_t socket_;
+  const GuardedServer& server_;
+  std::array<char, 4096> buffer_{};
+  std::size_t next_ = 0, filled_ = 0;  // in the buffer
+  std::size_t request_bytes_ = 0, body_ends_ = 0;
+  Clock::time_point deadline_;
+};
+
+void GuardedServer::widen_queue() const {
+  constexpr int kWaiting = 128;
+  (void)::listen(svr_sock_, kWaiting);
+}
+
+void GuardedServer::serve(Client& client) {
+  for (std::size_t left = keep_alive_max_count_; left > 0; --left) {
+    if (!client.await_request(std::chrono::seconds(keep_alive_timeout_sec_))) return;
+    bool closed = false, has_head = false, is_plain = false;
+    const auto note_body = [&](const httplib::Request& q) {
+      has_head = true;
+      is_plain =
+          !q.has_header("Transfer-Encoding") && q.get_header_value_count("Content-Length") <= 1;
+      const std::string length = q.get_header_value("Content-Length");
+      client.expect_body(std::strtoull(length.c_str(), nullptr, 10));
+    };
+    const bool served = process_request(client, left == 1, closed, note_body);
+    if (!served || closed || !has_head || !is_plain || !client.has_read_body()) return;
+  }
+}
+
+// The library's loop knows neither of these bounds.
+bool GuardedServer::process_and_close_socket(socket_t socket) {
+  ++clients_;
+  Client client(socket, *this);
+  try {
+    serve(client);
+  } catch (const std::exception&) {  // no request ends the service
+  }
+  client.close();
+  --clients_;
+  return true;
+}
+
+}  // namespace penumbra::service

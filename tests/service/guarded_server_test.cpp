@@ -1,0 +1,187 @@
+// Clients that a browser is not: hostile, endless or slow.
+#include "service/http/internal/guarded_server.h"
+
+#include <gtest/gtest.h>
+#include <netinet/in.h>
+#include <poll.h>
+#include <sys/socket.h>
+#include <unistd.h>
+
+#include <array>
+#include <memory>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include "service/http/internal/workers.h"
+
+namespace penumbra::service {
+namespace {
+
+/// Served by the library's server, or by ours, until it goes out of scope.
+template <class Server>
+struct ListeningServer {
+  Server server;
+  int changes = 0;
+  int port = 0;
+  std::jthread thread;
+
+  explicit ListeningServer(std::size_t workers = 4) {
+    server.new_task_queue = [=] { return new Workers(workers); };
+    server.set_keep_alive_timeout(1);
+    server.set_pre_routing_handler([](const httplib::Request& q, httplib::Response& r) {
+      using Handled = httplib::Server::HandlerResponse;
+      if (q.get_header_value("Host") != "evil.example") return Handled::Unhandled;
+      r.status = 403;
+      return Handled::Handled;
+    });
+    server.Get("/", [](const httplib::Request&, httplib::Response& r) { r.status = 200; });
+    server.Patch("/", [this](const httplib::Request&, httplib::Response&) { ++changes; });
+    server.Post("/", [](const httplib::Request&, httplib::Response&) {});
+    port = server.bind_to_any_port("127.0.0.1");
+    if constexpr (std::is_same_v<Server, GuardedServer>) server.widen_queue();
+    thread = std::jthread([this] { server.listen_after_bind(); });
+    while (!server.is_running()) std::this_thread::yield();
+  }
+  ~ListeningServer() {
+    if constexpr (std::is_same_v<Server, GuardedServer>) server.stop_waiting();
+    server.stop();
+  }
+};
+
+class RawConnection {
+ public:
+  explicit RawConnection(int port) : socket_(::socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0)) {
+    sockaddr_in to{};
+    to.sin_family = AF_INET;
+    to.sin_port = htons(static_cast<std::uint16_t>(port));
+    to.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
+    EXPECT_EQ(::connect(socket_, reinterpret_cast<const sockaddr*>(&to), sizeof to), 0);
+  }
+  ~RawConnection() { ::close(socket_); }
+  RawConnection(const RawConnection&) = delete;
+  RawConnection& operator=(const RawConnection&) = delete;
+  bool send(const std::string& text) const {
+    return ::send(socket_, text.data(), text.size(), MSG_NOSIGNAL) ==
+           static_cast<ssize_t>(text.size());
+  }
+  /// All that comes until the server closes.
+  std::string rest() const {
+    std::string out;
+    std::array<char, 4096> part{};
+    for (ssize_t n = 0; (n = ::recv(socket_, part.data(), part.size(), 0)) > 0;)
+      out.append(part.data(), static_cast<std::size_t>(n));
+    return out;
+  }
+
+ private:
+  int socket_;
+};
+
+std::size_t answers_in(const std::string& text) {
+  std::size_t out = 0;
+  for (auto at = text.find("HTTP/1.1 "); at != std::string::npos;
+       at = text.find("HTTP/1.1 ", at + 1))
+    ++out;
+  return out;
+}
+
+const std::string kInner =
+    "PATCH / HTTP/1.1\r\nHost: localhost\r\nContent-Length: 0\r\nConnection: close\r\n\r\n";
+
+// The library reads ahead this far, and throws that away: what an attacker wants read begins behind.
+constexpr std::size_t kReadAhead = 4096;
+
+// By a request within the body of another one.
+template <class Server>
+int changes_within(const std::string& head, std::size_t padded_to) {
+  ListeningServer<Server> running;
+  const RawConnection client(running.port);
+  const std::string rest = "\r\n\r\n", pad = "X-Pad: ";
+  std::string request = head;
+  if (padded_to > head.size() + pad.size() + rest.size())
+    request += pad + std::string(padded_to - head.size() - pad.size() - rest.size(), 'x') + rest;
+  else
+    request += "\r\n";
+  client.send(request + kInner);
+  (void)client.rest();
+  return running.changes;
+}
+
+// The library answers what it refuses, leaves its body unread, and takes that for the next request:
+// any page could then change what it likes.
+TEST(GuardedServer, ABodyThatNobodyReadIsNoRequest) {
+  const std::string length = "Content-Length: " + std::to_string(kInner.size()) + "\r\n",
+                    local = " / HTTP/1.1\r\nHost: localhost\r\n",
+                    foreign = "POST / HTTP/1.1\r\nHost: evil.example\r\n" + length;
+  EXPECT_EQ(changes_within<httplib::Server>(foreign, kReadAhead), 1) << "what this guards against";
+  for (const std::string& head :
+       {foreign, "GET" + local + length, "OPTIONS" + local + length,
+        "POST" + local + "Content-Type: multipart/form-data\r\n" + length,
+        "POST" + local + "Content-Length: 0\r\n" + length,
+        "POST" + local + "Transfer-Encoding: chunked\r\n", std::string("nonsense\r\n")})
+    for (const std::size_t size : {std::size_t{0}, kReadAhead})
+      EXPECT_EQ(changes_within<GuardedServer>(head, size), 0) << size << ": " << head;
+}
+
+TEST(GuardedServer, RequestsInOnePacketAreAllAnswered) {
+  ListeningServer<GuardedServer> running;
+  const RawConnection client(running.port);
+  const std::string get = "GET / HTTP/1.1\r\nHost: localhost\r\n\r\n";
+  client.send(get + get + kInner);
+  EXPECT_EQ(answers_in(client.rest()), 3u);
+  EXPECT_EQ(running.changes, 1);
+}
+
+TEST(GuardedServer, AHeadThatNeverEndsIsNotReadIntoMemory) {
+  ListeningServer<GuardedServer> running;
+  const RawConnection client(running.port);
+  client.send("GET / HTTP/1.1\r\n");
+  const std::string line = "X-Header: " + std::string(1000, 'x') + "\r\n";
+  std::size_t sent = 0;
+  while (sent < (64 << 20) && client.send(line)) sent += line.size();
+  // What is sent on while the connection closes is read, too, and thrown away.
+  EXPECT_LT(sent, std::size_t{16} << 20);
+}
+
+// Half a request each, a byte more now and then: all workers wait for them, but not for long.
+TEST(GuardedServer, SlowClientsHoldNobodyUp) {
+  ListeningServer<GuardedServer> running(GuardedServer::kMaxClients);
+  std::vector<std::unique_ptr<RawConnection>> slow;
+  for (std::size_t i = 0; i < GuardedServer::kMaxClients + 20; ++i) {
+    slow.push_back(std::make_unique<RawConnection>(running.port));
+    slow.back()->send("GET / HT");
+  }
+  std::atomic<bool> ends = false;
+  const std::jthread drip([&] {
+    while (!ends) {
+      for (const auto& c : slow) (void)c->send("x");
+      std::this_thread::sleep_for(std::chrono::milliseconds(100));
+    }
+  });
+  httplib::Client client("127.0.0.1", running.port);
+  client.set_read_timeout(60);
+  const auto answer = client.Get("/");
+  ends = true;
+  ASSERT_TRUE(answer);
+  EXPECT_EQ(answer->status, 200);
+}
+
+// It would not stop, as long as the client sends a byte in time.
+TEST(GuardedServer, StopsBesideAClientThatDrips) {
+  std::atomic<bool> ends = false;
+  std::jthread drip;
+  {
+    ListeningServer<GuardedServer> running;
+    drip = std::jthread([&, client = std::make_shared<RawConnection>(running.port)] {
+      for (int i = 0; i < 600 && !ends && client->send("x"); ++i)
+        std::this_thread::sleep_for(std::chrono::milliseconds(100));
+    });
+    std::this_thread::sleep_for(std::chrono::milliseconds(300));
+  }
+  EXPECT_FALSE(ends);
+  ends = true;
+}
+
+}  // namespace
+}  // namespace penumbra::service
