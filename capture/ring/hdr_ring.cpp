@@ -106,13 +106,15 @@ Result<const MergedImage*> HdrRing::add(const Frame& frame) {
   Frame steady =
       watch_->steady(frame, nominal, shorter == slots_.end() ? nullptr : &shorter->frame);
   if (old) {
-    came_back_ = true;
+    repeats_ = old->placed + 1 == taken_ ? repeats_ + 1 : 0;
+    came_back_ |= repeats_ != 1;
     came_again_ = 0;
     replaced = std::exchange(old->frame, std::move(steady));
     old->placed = taken_++;
     old->gain_log += .1 * (gain_log - old->gain_log);
   } else {
     PENUMBRA_TRY(make_room(frame));
+    repeats_ = 0;
     slots_.push_back({std::move(steady), frame.exposure, gain_log, taken_++});
     std::ranges::stable_sort(slots_, [](const RingSlot& a, const RingSlot& b) {
       return a.nominal.product() > b.nominal.product();

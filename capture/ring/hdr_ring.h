@@ -46,12 +46,11 @@ class HdrRing {
   /// Whether the shortest exposure's own frame holds a clipped pixel. Where it holds none, what is
   /// clipped in the merged image only waits for it.
   bool shortest_clips() const;
-  /// False while a shorter exposure may still come: until one came back, or so many different ones
-  /// stand in the ring.
-  bool bracket_complete() const { return came_back_ || slots_.size() >= kUsualBracket; }
+  /// False while a shorter exposure may still come: until one came back after others or twice in a
+  /// row, or the ring is full.
+  bool bracket_complete() const { return came_back_ || slots_.size() >= max_slots_; }
 
  private:
-  static constexpr std::size_t kUsualBracket = 4;
   struct RingSlot {
     Frame frame;
     Exposure nominal;          // as its exposure came first; flicker moves the frames' own
@@ -73,6 +72,7 @@ class HdrRing {
   CameraInfo camera_;
   std::size_t max_slots_;
   bool came_back_ = false;   // an exposure
+  int repeats_ = 0;          // in a row: of a frame that a driver gave twice, or one exposure alone
   bool was_turned_ = false;  // some slot, at the last merge
   std::uint64_t taken_ = 0;
   std::vector<RingSlot> slots_;  // longest exposure first

@@ -247,9 +247,11 @@ Result<void> LightEstimationStage::assemble(const capture::Frame& frame) {
   }
   if (!any) return std::unexpected(failed.error());
   Environment& environment = whole();
-  // What the first exposures saturate a shorter one may still resolve.
+  // What the first exposures saturate a shorter one may still resolve: nothing is read off a floor
+  // for it, and nothing is promised.
   const auto owes = [](const RegionView& v) { return v.fresh && !v.bracket_complete(); };
-  if (std::ranges::any_of(views_, owes)) environment.clipped.clear();
+  awaits_shorter_ = std::ranges::any_of(views_, owes) && !environment.clipped.empty();
+  if (awaits_shorter_) environment.clipped.clear();
   return {};
 }
 
@@ -262,6 +264,7 @@ Result<void> LightEstimationStage::process(const capture::Frame& frame,
     estimator_.look_for_unseen_sun(ready());
     PENUMBRA_TRY(estimator_.estimate(environment, out));
   }
+  if (out.plan && awaits_shorter_) out.plan->lower_bound = true, out.plan->within_budget = false;
   warn_once(out);
   return {};
 }

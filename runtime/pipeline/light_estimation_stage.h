@@ -102,7 +102,8 @@ class LightEstimationStage {
   lighting::LightEstimator estimator_;
   StageTimes& times_;
   std::uint64_t frames_ = 0;
-  bool warned_ = false;  // that a source is clipped
+  bool warned_ = false;          // that a source is clipped
+  bool awaits_shorter_ = false;  // an exposure that may resolve what is clipped
   bool said_gains_ = false, said_sun_ = false;
 };
 

@@ -46,21 +46,24 @@ double farthest(const MergedImage& image, double expected) {
   return worst;
 }
 
-TEST(HdrRing, KnowsTheBracketWhenAnExposureComesBackOrFourAreThere) {
-  const Sensor sensor = sensor_of(8);
-  HdrRing two(camera(sensor), 8);
-  EXPECT_FALSE(two.bracket_complete());
-  for (std::uint64_t i = 0; i < 3; ++i) {
-    EXPECT_FALSE(two.bracket_complete()) << i;
-    (void)two.add(frame(sensor, .4f, i % 2 == 0 ? 1 : 1. / 4, i));
-  }
-  EXPECT_TRUE(two.bracket_complete());
-  HdrRing four(camera(sensor), 8);
-  for (std::uint64_t i = 0; i < 4; ++i) {
-    EXPECT_FALSE(four.bracket_complete()) << i;
-    (void)four.add(frame(sensor, .4f, kTimes[i], i));
-  }
-  EXPECT_TRUE(four.bracket_complete());
+// Half a bracket's light is too dim, and what is read off the floor for a light that a shorter
+// exposure would have resolved is wrong.
+TEST(HdrRing, KnowsTheBracketOnceAnExposureComesBack) {
+  const auto frames_until_complete = [](std::initializer_list<int> halvings, int slots) {
+    const Sensor sensor = sensor_of(8);
+    HdrRing ring(camera(sensor), slots);
+    std::uint64_t i = 0;
+    for (const int h : halvings) {
+      if (ring.bracket_complete()) return i;
+      (void)ring.add(frame(sensor, .4f, std::ldexp(1., -h), i++));
+    }
+    return ring.bracket_complete() ? i : 0;
+  };
+  EXPECT_EQ(frames_until_complete({0, 2, 0, 2}, 8), 3u);
+  EXPECT_EQ(frames_until_complete({0, 1, 2, 3, 4, 5, 6, 7, 0, 1}, 16), 9u) << "longest first";
+  EXPECT_EQ(frames_until_complete({0, 0, 1, 2, 3, 0}, 8), 6u) << "a frame twice is no bracket";
+  EXPECT_EQ(frames_until_complete({0, 0, 0, 0}, 8), 3u) << "one exposure alone";
+  EXPECT_EQ(frames_until_complete({0, 1, 2, 3, 4}, 4), 4u) << "the ring is full";
 }
 
 TEST(HdrRing, FirstFrameAloneIsAnImage) {

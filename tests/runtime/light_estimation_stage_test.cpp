@@ -1,6 +1,7 @@
 // The light stage on frames that are not what the studio makes.
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
 #include <glm/gtc/quaternion.hpp>
 
@@ -136,6 +137,30 @@ TEST(LightEstimationStage, ALampIsSaturatedOnlyWhereTheShortestExposureClips) {
   const auto bright = warnings_of_a_moving_lamp(200);
   ASSERT_EQ(bright.size(), 1u);
   EXPECT_NE(bright[0].find("saturated in every exposure"), std::string::npos) << bright[0];
+}
+
+// Eight exposures, the longest first: what the first ones clip is no light that may be promised, nor
+// one that the floor is asked about.
+TEST(LightEstimationStage, NothingIsPromisedBeforeTheBracketIsWhole) {
+  capture::Sensor sensor;
+  sensor.response = calib::Response::srgb();
+  Stage s(filmed_by(sensor, 256, 128));
+  lighting::GovernorConfig config;
+  config.limits.max_error = .9;  // any prediction keeps to it
+  config.probes.deficit.assign(lighting::kMaxCoefficients, 0);
+  s.light->set_governor(config);
+  std::vector<double> times_s;
+  for (int k = 0; k < 8; ++k) times_s.push_back(std::ldexp(1., -k));
+  Image<Rgb> map(256, 128, {.2f, .2f, .2f});
+  for (int y = 30; y < 34; ++y)
+    for (int x = 100; x < 104; ++x) map.at(x, y) = {60, 60, 60};
+  for (std::uint64_t n = 0; n < 12; ++n) {
+    const auto light = s.light->process(test::film_on_mains(sensor, map, n, times_s, {100, 0}));
+    ASSERT_TRUE(light && light->plan) << n;
+    EXPECT_EQ(light->plan->lower_bound, n < 6) << n;
+    EXPECT_EQ(light->plan->within_budget, !light->plan->lower_bound) << n;
+    EXPECT_TRUE(std::ranges::none_of(light->lights, &lighting::DistantLight::clipped)) << n;
+  }
 }
 
 TEST(LightEstimationStage, NonFinitePixelsAreLeftOutAndDoNotEndTheRun) {
