@@ -265,6 +265,19 @@ class HdrMerge(CliTest):
         self.assertTrue(told["low"] <= 2.001 and told["high"] >= 1.999, told)
         self.assertLess(told["high"], 2.1)
 
+    def test_times_of_linear_pictures_are_checked_by_their_overlap_too(self):
+        for name, factor in (("dim", 1), ("double", 2)):
+            files.write_png(self.root / f"{name}.png", 80, 60, lambda x, y, f=factor: (f * (30 + x),) * 3)
+            self.run_well("hdr", "merge", self.root / f"{name}.png", "--times", "1", "--response", "linear", "-o",
+                          self.root / f"{name}.exr")
+        pictures, out = [self.root / "dim.exr", self.root / "double.exr"], self.root / "linear.hdr"
+        done = self.run_program("hdr", "merge", *pictures, "--times", "0.01,0.04", "-o", out)
+        self.assertRegex(done.stderr, r"warning: .*double.exr: (2|1\.99\d*|2\.0\d*) times .*, but 4 by the given times")
+        right = self.run_program("hdr", "merge", *pictures, "--times", "0.01,0.02", "-o", out)
+        self.assertEqual((right.returncode, "warning" in right.stderr), (0, False), right.stderr)
+        self.run_well("hdr", "merge", *pictures, "--times", "0.01,?", "--response", "linear", "-o", out)
+        self.assert_close(self.run_json("inspect", out)["largest_luminance"], 109 / 255 / 0.01, 0.3)
+
     def test_unknown_time_is_refused_where_hardly_anything_is_well_exposed_in_both(self):
         # Four in a thousand patches of the picture lie between black and white in both.
         for name, lit in (("few-a", 32), ("few-b", 64)):

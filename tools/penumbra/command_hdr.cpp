@@ -74,7 +74,9 @@ Result<std::vector<CheckedTime>> report_times(const HdrMergeOptions& o,
                                               capture::ExposureStack& stack) {
   constexpr double kEnough = .2;  // of the picture
   const std::vector<std::string>& images = o.images;
-  PENUMBRA_ASSIGN(checked, check_times(stack, o.response ? 0 : capture::kEstimatedExponentSigma));
+  const bool linear = std::holds_alternative<Image<Rgb>>(*stack.frames[0]);
+  PENUMBRA_ASSIGN(checked,
+                  check_times(stack, o.response || linear ? 0 : capture::kEstimatedExponentSigma));
   for (const CheckedTime& c : checked) {
     const std::string by_overlap = fmt::format(
         "{:.4g} times the exposure of {}, by their overlap (95 % within {:.4g} to {:.4g}, {} "
@@ -132,14 +134,8 @@ Result<ReadyStack> prepare(const HdrMergeOptions& o) {
   stack.response = response;
   if (!o.response)
     stack.first_code = calib::kFirstReliableCode, stack.last_code = calib::kLastReliableCode;
-  std::vector<CheckedTime> checked;
-  if (std::holds_alternative<Image<Rgb8>>(*stack.frames[0])) {
-    PENUMBRA_ASSIGN(found, report_times(o, stack));
-    checked = std::move(found);
-    if (!o.align && o.reference == 0) warn_of_motion(o, checked);
-  } else if (any_unknown(stack)) {
-    return fail(ErrorCode::kInvalid, "--times", "a time of ? needs 8-bit pictures");
-  }
+  PENUMBRA_ASSIGN(checked, report_times(o, stack));
+  if (!o.align && o.reference == 0) warn_of_motion(o, checked);
   if (o.align || o.reference > 0) priority(stack, reference);
   return ReadyStack{std::move(stack), std::move(checked)};
 }

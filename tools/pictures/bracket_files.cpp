@@ -184,17 +184,76 @@ Result<capture::ExposureStack> read_bracket(const std::vector<std::string>& imag
   return stack;
 }
 
+namespace {
+
+// Pictures of any depth as overlaps are looked for in: 8 bits of a known curve.
+struct OverlapPictures {
+  std::vector<std::shared_ptr<const FramePixels>> frames;
+  ResponseTable curve;
+  std::vector<double> gains;  // of each, over the others
+};
+
+// What is brighter than all but the brightest of a picture is clipped: linear pictures have no full
+// scale of their own.
+double white_of(const Image<Rgb>& picture) {
+  constexpr double kClipped = .005;
+  std::vector<float> all;
+  for (const Rgb& c : picture.pixels())
+    if (const float most = std::max({c.r, c.g, c.b}); std::isfinite(most) && most > 0)
+      all.push_back(most);
+  if (all.empty()) return 1;
+  const auto at =
+      all.end() - 1 - static_cast<std::ptrdiff_t>(kClipped * static_cast<double>(all.size()));
+  std::ranges::nth_element(all, at);
+  return double(*at);
+}
+
+OverlapPictures overlap_pictures(const capture::ExposureStack& stack) {
+  const bool has_codes = !std::holds_alternative<Image<Rgb>>(*stack.frames[0]);
+  if (std::holds_alternative<Image<Rgb8>>(*stack.frames[0]))
+    return {stack.frames, capture::make_response_table(stack.response, 8, stack.black_level),
+            std::vector<double>(stack.frames.size(), 1)};
+  OverlapPictures out{{}, capture::make_response_table(calib::Response::srgb(), 8, 0), {}};
+  const ResponseTable fine = capture::make_response_table(stack.response, 16, stack.black_level);
+  const auto convert = [&](const auto& from, const auto& signal) {
+    Image<Rgb8> to(from.width(), from.height());
+    for (std::size_t i = 0; i < from.area(); ++i) {
+      const auto code = [&](int c, auto value) {
+        const float s = signal(c, value);  // not finite: as clipped
+        return static_cast<std::uint8_t>(s < 1 ? out.curve.encode(c, std::max(s, 0.f)) : 255);
+      };
+      const auto& p = from.pixels()[i];
+      to.pixels()[i] = {code(0, p.r), code(1, p.g), code(2, p.b)};
+    }
+    out.frames.push_back(std::make_shared<const FramePixels>(std::move(to)));
+  };
+  for (const auto& f : stack.frames) {
+    const double white = has_codes ? 1 : white_of(std::get<Image<Rgb>>(*f)) - stack.black_level;
+    out.gains.push_back(1 / white);
+    if (has_codes)
+      convert(std::get<Image<Rgb16>>(*f),
+              [&](int c, std::uint16_t v) { return fine.decode(c, v); });
+    else
+      convert(std::get<Image<Rgb>>(*f), [&](int, float v) {
+        return static_cast<float>((double(v) - stack.black_level) / white);
+      });
+  }
+  return out;
+}
+
+}  // namespace
+
 Result<std::vector<CheckedTime>> check_times(capture::ExposureStack& stack, double exponent_sigma) {
-  for (const auto& f : stack.frames)
-    if (!std::holds_alternative<Image<Rgb8>>(*f))
-      return fail(
-          ErrorCode::kInvalid, "exposure stack",
-          "has pictures that are not 8-bit, and ratios of exposures are estimated from those only");
-  const ResponseTable curve = capture::make_response_table(stack.response, 8, stack.black_level);
-  const auto ratio_of = [&](std::size_t against, std::size_t picture) {
-    return capture::estimate_exposure_ratio(std::get<Image<Rgb8>>(*stack.frames[against]),
-                                            std::get<Image<Rgb8>>(*stack.frames[picture]), curve,
-                                            exponent_sigma);
+  const OverlapPictures pictures = overlap_pictures(stack);
+  const auto ratio_of = [&](std::size_t against,
+                            std::size_t picture) -> Result<capture::ExposureRatio> {
+    PENUMBRA_ASSIGN(
+        found, capture::estimate_exposure_ratio(std::get<Image<Rgb8>>(*pictures.frames[against]),
+                                                std::get<Image<Rgb8>>(*pictures.frames[picture]),
+                                                pictures.curve, exponent_sigma));
+    const double scale = pictures.gains[against] / pictures.gains[picture];
+    found.ratio *= scale, found.low *= scale, found.high *= scale;
+    return found;
   };
   const auto known = [&](std::size_t k) { return stack.exposures[k].time > kUnknownTime; };
   std::vector<CheckedTime> out;

@@ -39,8 +39,9 @@ struct CheckedTime {
 };
 /// Finds unknown times from the nearest known neighbours in the list and compares the told ones.
 /// Needs the response; `exponent_sigma` as for capture::estimate_exposure_ratio.
+/// in:     frames of one kind
 /// errors: kUndetermined (no time given at all, no overlap to find an unknown one, or so little
-///         that the curve decides), kInvalid (not 8 bits)
+///         that the curve decides)
 Result<std::vector<CheckedTime>> check_times(capture::ExposureStack& stack, double exponent_sigma);
 
 /// What a stack of 8-bit frames holds, for those who estimate a response.
