@@ -27,6 +27,7 @@ Result<EnvironmentFile> read_environment(const std::filesystem::path& path,
   EnvironmentFile out;
   out.radiance = std::move(image.pixels);
   out.non_finite = image.non_finite;
+  out.clipped = std::move(image.clipped);
   const int w = out.radiance.width(), h = out.radiance.height();
   if (image.environment)
     out.attribute = *image.environment == codec::EnvironmentAttribute::kCube
@@ -108,6 +109,31 @@ class SeenPixels {
   bool whole_turn_;
 };
 
+// By the nearest pixels of the file.
+void mark_clipped(const EnvironmentFile& file, Environment& out) {
+  if (file.clipped.empty()) return;
+  const int w = out.radiance.width(), h = out.radiance.height();
+  const glm::dquat file_from_world = glm::conjugate(file.world_from_file);
+  double all = 0;
+  for (int y = 0; y < h; ++y) {
+    const double area = latlong_solid_angle(y, w, h);
+    for (int x = 0; x < w; ++x) {
+      all += area;
+      const auto p = calib::pixel_from_direction(
+          file.projection, file_from_world * latlong_direction(x + .5, y + .5, w, h));
+      if (!p) continue;
+      const auto at = [](double v, int size) {
+        return std::clamp(static_cast<int>(std::floor(v)), 0, size - 1);
+      };
+      if (!(file.clipped.at(at(p->x, file.clipped.width()), at(p->y, file.clipped.height())) > 0))
+        continue;
+      out.clipped.push_back(static_cast<std::uint32_t>(y * w + x));
+      out.clipped_fraction += area;
+    }
+  }
+  out.clipped_fraction /= all;
+}
+
 }  // namespace
 
 Result<Environment> to_latlong(const EnvironmentFile& file) {
@@ -136,6 +162,7 @@ Result<Environment> to_latlong(const EnvironmentFile& file) {
   }
   if (std::ranges::all_of(out.confidence.pixels(), [](float c) { return c > 0; }))
     out.confidence = {};
+  mark_clipped(file, out);
   return out;
 }
 

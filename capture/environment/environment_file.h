@@ -30,13 +30,14 @@ struct EnvironmentFile {
   Image<Rgb> radiance;
   std::size_t non_finite = 0;
   std::size_t unseen = 0;  // pixels that the file itself marks, by its alpha
+  Image<float> clipped{};  // likewise, above 0 where the radiance is a lower bound; empty: nowhere
 };
 Result<EnvironmentFile> read_environment(const std::filesystem::path& path,
                                          std::optional<calib::ProjectionKind> projection);
 /// Turns the light about the vertical, counter-clockwise seen from above.
 void turn(EnvironmentFile& file, Radians angle);
 /// Any of them resampled to lat-long (a plain lat-long file that is not turned keeps its pixels),
-/// with the confidence of what was seen, 0 or 1.
+/// with the confidence of what was seen, 0 or 1, and what is clipped.
 Result<Environment> to_latlong(const EnvironmentFile& file);
 
 }  // namespace penumbra::capture

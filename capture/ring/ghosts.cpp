@@ -89,6 +89,8 @@ void TableMerger::merge_mixed(const BlockJob& job, MergeBlock& block) const {
   for (std::size_t i = 0; i < job.count; ++i)
     if (left.any[i] && job.out[i].a == 0) bound_undecided(job, left, i), block.undecided = true;
   if (!job.all.replaced) return;
+  for (std::size_t i = 0; i < job.count; ++i)
+    block.vanished_clipped |= left.any[i] && before[i].a == 0 && job.out[i].a == kHalfOne;
   float sums[kMergeBlock / kMergeRun][4];
   sum_differences(before.data(), job.out, left.any.data(), sums);
   for (std::size_t run = 0; run * kMergeRun < job.count; ++run)
@@ -101,8 +103,11 @@ void TableMerger::merge_mixed(const BlockJob& job, MergeBlock& block) const {
 // same light, evenly spread.
 void TableMerger::keep_energy(MergedImage& out) {
   std::array<double, 3> vanished{};
-  for (const MergeBlock& block : blocks_)
+  bool clipped = false;  // what vanished was a lower bound
+  for (const MergeBlock& block : blocks_) {
+    clipped |= block.vanished_clipped;
     for (std::size_t c = 0; c < 3; ++c) vanished[c] += block.vanished[c];
+  }
   const auto each_undecided = [&](const auto& visit) {
     for (std::size_t b = 0; b < blocks_.size(); ++b) {
       if (!blocks_[b].undecided) continue;
@@ -120,15 +125,16 @@ void TableMerger::keep_energy(MergedImage& out) {
   std::array<float, 3> more{};
   for (std::size_t c = 0; c < 3; ++c)
     if (weights[c] > 0) more[c] = static_cast<float>(std::max(0., vanished[c]) / weights[c]);
-  const bool moved = std::ranges::any_of(more, [](float m) { return m > 0; });
+  const bool moved = std::ranges::any_of(more, [](float m) { return m > 0; }),
+             known = moved && !clipped;
   each_undecided([&](MergeBlock& block, HalfRgba& p, double) {
     std::uint16_t* const channels[] = {&p.r, &p.g, &p.b};
     for (std::size_t c = 0; c < 3; ++c)
       if (undecided(p, c))
         *channels[c] =
             half_from_float(std::min(kLargestHalf, float_from_half(*channels[c]) + more[c]));
-    p.a = moved ? kHalfOne : std::uint16_t{0};
-    if (moved && block.counts.clipped > 0) --block.counts.clipped;
+    p.a = known ? kHalfOne : std::uint16_t{0};
+    if (known && block.counts.clipped > 0) --block.counts.clipped;
   });
   for (MergeBlock& block : blocks_) block.undecided = false;
 }

@@ -90,13 +90,19 @@ Result<void> HdrRing::make_room(const Frame& frame) {
   return {};
 }
 
-Result<const MergedImage*> HdrRing::add(const Frame& frame) {
+Result<const MergedImage*> HdrRing::add(const Frame& given) {
+  Frame frame = given;
   PENUMBRA_TRY(check_exposures({&frame.exposure, 1}));
   const int w = camera_.projection.width, h = camera_.projection.height;
   if (width(*frame.pixels) != w || height(*frame.pixels) != h)
     return fail(ErrorCode::kInvalid, fmt::format("{} frame {}", camera_.name, frame.sequence),
                 fmt::format("has {}x{} pixels instead of {}x{}", width(*frame.pixels),
                             height(*frame.pixels), w, h));
+  const auto shown = watch_->exposure_of(frame);
+  if (!shown)
+    return fail(ErrorCode::kUndetermined, fmt::format("{} frame {}", camera_.name, frame.sequence),
+                "does not show the exposure that it is said to have");
+  frame.exposure = *shown;
   std::optional<Frame> replaced;
   const double gain_log = std::log(frame.exposure.gain.value());
   RingSlot* const old = slot_of(frame.exposure);

@@ -39,8 +39,9 @@ class HdrRing {
   HdrRing(HdrRing&&) noexcept;
   HdrRing& operator=(HdrRing&&) noexcept;
   /// errors: kInvalid (size changed, bad exposure, more exposures in turn than slots, as soon as
-  ///         they are seen to come again), kUndetermined as merge()
-  Result<const MergedImage*> add(const Frame& frame);
+  ///         they are seen to come again), kUndetermined as merge(), and where a frame shows
+  ///         another exposure of the bracket than its label says
+  Result<const MergedImage*> add(const Frame& given);
   /// Different exposures that stand in the ring.
   std::size_t exposures() const { return slots_.size(); }
   /// Whether the shortest exposure's own frame holds a clipped pixel. Where it holds none, what is

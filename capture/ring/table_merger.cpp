@@ -274,6 +274,7 @@ BlockCounts TableMerger::merge_real(const BlockJob& job) const {
 
 void TableMerger::update_block(const BlockJob& job, MergeBlock& block) const {
   block.vanished = {};
+  block.vanished_clipped = false;
   const MergeJob& all = job.all;
   const bool anew = all.replaced == nullptr;
   if (!anew && block_changed(all.tolerance, job.codes[all.newest()], job.replaced))

@@ -15,6 +15,28 @@ bool same_kind(const FramePixels& a, const FramePixels& b) {
 
 }  // namespace
 
+std::optional<Exposure> FrameWatch::exposure_of(const Frame& frame) {
+  constexpr double kSame = .25;  // natural logarithm: less is flicker
+  const std::uint64_t number = labelled_++;
+  labels_.requested(number, frame.exposure);
+  const auto label = labels_.judge(number, frame.time, brightness_.measure(*frame.pixels));
+  if (label.verdict == ExposureLabels::Verdict::kRefused) {
+    if (!std::exchange(said_label_, true))
+      log_warning(
+          "{}: frame {} does not show the exposure of {:.4g} s that it is said to have: "
+          "such frames are left out",
+          name_, frame.sequence, frame.exposure.time.count());
+    return std::nullopt;
+  }
+  const bool own = label.verdict != ExposureLabels::Verdict::kGood ||
+                   std::abs(std::log(label.exposure.product() / frame.exposure.product())) < kSame;
+  if (own) return frame.exposure;
+  if (!std::exchange(said_delay_, true))
+    log_warning("{}: its frames show the exposures of other frames, as those {} before them", name_,
+                labels_.delay().value_or(0));
+  return label.exposure;
+}
+
 Frame FrameWatch::steady(const Frame& frame, const Exposure& nominal, const Frame* shorter) {
   const PictureHistory::Comparison& compared = history_.compare(frame, nominal);
   if (compared.now.empty()) return frame;

@@ -312,6 +312,13 @@ std::vector<LightEstimationStage::ViewGain> LightEstimationStage::gains() const 
   return out;
 }
 
+// Once of each light, and of few: what flickers at the edge of being clipped would fill the log.
+bool LightEstimationStage::is_news(int source, Told told) {
+  constexpr std::size_t kMaxTold = 24;
+  if (told_.size() >= kMaxTold) return false;
+  return told_.emplace(source, told).second;
+}
+
 void LightEstimationStage::add_recoveries(
     std::span<const lighting::SaturationRecovery> recoveries) {
   for (const lighting::SaturationRecovery& c : recoveries) {
@@ -319,6 +326,8 @@ void LightEstimationStage::add_recoveries(
                           ? std::string("the sun that no camera sees")
                           : fmt::format("saturated light {}", c.source);
     const auto added = estimator_.add_recovery(c);
+    if (!is_news(c.source, !added ? Told::kRefused : c.is_guess ? Told::kGuess : Told::kKnown))
+      continue;
     if (added && c.is_guess)
       log_warning(
           "light: the power of {} is a guess: the floor tells what several saturated lights send "

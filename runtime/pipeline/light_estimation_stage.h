@@ -4,8 +4,10 @@
 
 #include <memory>
 #include <optional>
+#include <set>
 #include <span>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "capture/camera_regions.h"
@@ -91,6 +93,8 @@ class LightEstimationStage {
   Result<void> merge(RegionView& view, const capture::Frame& frame);
   Environment& whole();
   void warn_once(const lighting::LightEstimate& estimate);
+  enum class Told { kKnown, kGuess, kRefused };
+  bool is_news(int source, Told told);
 
   std::vector<bool> takes_;                         // by camera, never changed
   std::vector<capture::CameraInfo> cameras_;        // with their newest poses
@@ -102,8 +106,9 @@ class LightEstimationStage {
   lighting::LightEstimator estimator_;
   StageTimes& times_;
   std::uint64_t frames_ = 0;
-  bool warned_ = false;          // that a source is clipped
-  bool awaits_shorter_ = false;  // an exposure that may resolve what is clipped
+  bool warned_ = false;                  // that a source is clipped
+  std::set<std::pair<int, Told>> told_;  // of recovered lights
+  bool awaits_shorter_ = false;          // an exposure that may resolve what is clipped
   bool said_gains_ = false, said_sun_ = false;
 };
 

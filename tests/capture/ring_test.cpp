@@ -66,6 +66,38 @@ TEST(HdrRing, KnowsTheBracketOnceAnExposureComesBack) {
   EXPECT_EQ(frames_until_complete({0, 1, 2, 3, 4}, 4), 4u) << "the ring is full";
 }
 
+// Three exposures in turn, of which each frame says what `label` makes of its number.
+template <class Label>
+double worst_of_labelled(std::uint64_t frames, std::uint64_t from, const Label& label) {
+  const std::array<double, 3> times_s = {1, .25, .0625};
+  const Sensor sensor = sensor_of(8);
+  HdrRing ring(camera(sensor), 8);
+  double worst = 0;
+  for (std::uint64_t i = 0; i < frames; ++i) {
+    Frame f = frame(sensor, .4f, times_s[i % 3], i);
+    f.time = TimestampNs{static_cast<std::int64_t>(i) * 33'000'000};
+    f.exposure.time = Seconds(times_s[label(i) % 3]);
+    const auto image = ring.add(f);
+    if (!image && image.error().code != ErrorCode::kUndetermined) return HUGE_VAL;
+    if (i >= from && image) worst = std::max(worst, farthest(**image, .4));
+  }
+  return worst;
+}
+
+// A wrong label would light the scene by four times, or a quarter, until its exposure comes again.
+TEST(HdrRing, AFrameThatContradictsItsLabelIsLeftOut) {
+  const double right = worst_of_labelled(60, 6, [](std::uint64_t i) { return i; });
+  const auto slips = [](std::uint64_t i) { return i % 20 == 19 ? i - 1 : i; };
+  const double slipped = worst_of_labelled(60, 6, slips);
+  std::printf("label slips: %.3f %% off, %.3f %% without\n", 100 * slipped, 100 * right);
+  EXPECT_LT(slipped, right + .005);
+}
+
+TEST(HdrRing, LabelsThatAreLateThroughoutAreReadAsTheyAreMeant) {
+  const double late = worst_of_labelled(90, 45, [](std::uint64_t i) { return i + 2; });
+  EXPECT_LT(late, .02);
+}
+
 TEST(HdrRing, FirstFrameAloneIsAnImage) {
   for (const int bits : {8, 16}) {
     HdrRing ring(camera(sensor_of(bits)), 4);

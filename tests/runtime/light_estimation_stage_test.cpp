@@ -147,7 +147,7 @@ TEST(LightEstimationStage, NothingIsPromisedBeforeTheBracketIsWhole) {
   Stage s(filmed_by(sensor, 256, 128));
   lighting::GovernorConfig config;
   config.limits.max_error = .9;  // any prediction keeps to it
-  config.probes.deficit.assign(lighting::kMaxCoefficients, 0);
+  config.probes.deficit.assign(kMaxCoefficients, 0);
   s.light->set_governor(config);
   std::vector<double> times_s;
   for (int k = 0; k < 8; ++k) times_s.push_back(std::ldexp(1., -k));

@@ -48,6 +48,7 @@ class TableMerger {
     bool mixed = false;         // of frames from before and after that
     // Where samples contradicted: radiance times solid angle, in stored units
     std::array<double, 3> vanished{};
+    bool vanished_clipped = false;  // some of that was a lower bound
     // Holds pixels brighter than the newest exposure can tell, which others contradict
     bool undecided = false;
   };

@@ -1,9 +1,10 @@
+#include "capture/watch/exposure_labels.h"
+
 #include <algorithm>
 #include <array>
 #include <cmath>
 #include <numeric>
 
-#include "capture/device/internal/bracketed_camera.h"
 #include "core/median.h"
 
 namespace penumbra::capture {
@@ -12,15 +13,16 @@ namespace {
 
 constexpr std::size_t kRemembered = 24;  // frames
 constexpr std::size_t kFirst = 18,
-                      kEnough = 12;  // frames that tell the delay, at the start and later
-constexpr double kExact = .12;       // natural logarithm: how well a slip's ratio fits
-constexpr double kAgrees = .25;      // a third of a stop: less is flicker
+                      kEnough = 12;   // frames that tell the delay, at the start and later
+constexpr double kExact = .12;        // natural logarithm: how well a slip's ratio fits
+constexpr double kLabelAgrees = .25;  // a third of a stop: less is flicker
 // Of the blocks' offsets: a change of exposure is the same everywhere
-constexpr double kUniform = .12;
-constexpr double kPatience = 4;      // frames refused before the delay is looked for anew
-constexpr double kForgiveness = .8;  // of earlier refusals, for each good frame
-constexpr int kMaxPatience = 24;     // after so many the light has changed after all
-constexpr int kFollows = 8;          // good frames in a row that no chance explains
+constexpr double kLabelUniform = .12;
+constexpr double kLabelPatience = 4;      // frames refused before the delay is looked for anew
+constexpr double kForgiveness = .8;       // of earlier refusals, for each good frame
+constexpr double kForgottenChanges = .9;  // of the light, for each frame
+constexpr int kMaxPatience = 24;          // after so many the light has changed after all
+constexpr int kFollows = 8;               // good frames in a row that no chance explains
 constexpr std::size_t kMinBlocks = 6;
 constexpr double kDriftSeconds = .7;  // what changes more slowly is light, not flicker
 
@@ -42,45 +44,6 @@ std::optional<Offset> offset_between(const std::vector<float>& signal,
 }
 
 }  // namespace
-
-std::uint64_t FrameCounter::at(TimestampNs time) const {
-  const double passed = period_ > 0 ? std::floor(((time - time_).count() - latency_) / period_) : 0;
-  return number_ + static_cast<std::uint64_t>(std::clamp(passed, 0., 1000.));
-}
-
-// Drivers stamp a frame when it begins; it arrives up to a period or two later.
-Seconds FrameCounter::fresh() const {
-  constexpr double kSoon = .4;  // of a period
-  return Seconds(period_ > 0 ? latency_ + kSoon * period_ : 1e9);
-}
-
-std::uint64_t FrameCounter::count(std::uint64_t sequence, TimestampNs time, TimestampNs arrived) {
-  // Of a period a frame: what grew is believed after a second or two
-  constexpr double kForget = .02;
-  latency_ = std::min(latency_ + kForget * period_, std::max(0., (arrived - time).count()));
-  constexpr std::size_t kFewestPeriods = 5, kPeriods = 15;
-  constexpr std::uint64_t kMaxMissing = 600;  // a longer gap is a new start
-  if (!sequence_) {
-    sequence_ = sequence, time_ = time;
-    return number_;
-  }
-  const double apart = (time - time_).count();
-  std::uint64_t step = sequence > *sequence_ ? sequence - *sequence_ : 1;
-  // Late delivery moves a time by less than half a period.
-  if (period_ > 0 && std::round(apart / period_) > static_cast<double>(step))
-    step = static_cast<std::uint64_t>(std::min(apart / period_ + .5, double{kMaxMissing}));
-  step = std::min(step, kMaxMissing);
-  periods_.push_back(apart / static_cast<double>(step));
-  if (periods_.size() > kPeriods) periods_.pop_front();
-  if (periods_.size() >= kFewestPeriods) {
-    std::vector<double> all(periods_.begin(), periods_.end());
-    period_ = median(all);
-  }
-  lost_ += step - 1;
-  number_ += step;
-  sequence_ = sequence, time_ = time;
-  return number_;
-}
 
 Brightness BrightnessMeter::measure(const FramePixels& pixels) {
   constexpr CellGrid kGrid{Brightness::kColumns, Brightness::kRows, 10, 10, .005f};
@@ -132,7 +95,7 @@ void ExposureLabels::find_delay() {
   for (int delay = 1; delay <= kMaxDelay; ++delay)
     smallest = std::min(smallest, scores[static_cast<std::size_t>(delay)] = disagreement(delay));
   suspicion_ = 0;
-  ignores_controls_ = smallest > kAgrees;
+  ignores_controls_ = smallest > kLabelAgrees;
   if (ignores_controls_) return;
   const auto ties = [&](double score) { return score < smallest + kTie; };
   const int best =
@@ -162,6 +125,7 @@ ExposureLabels::Label ExposureLabels::judge(std::uint64_t frame, TimestampNs tim
                                             const Brightness& seen) {
   seen_.push_back({frame, seen});
   while (seen_.size() > (delay_ ? kEnough : kRemembered)) seen_.pop_front();
+  changes_ *= kForgottenChanges;
   if (!delay_) {
     if (seen_.size() >= kFirst) find_delay();
     return {};
@@ -172,21 +136,24 @@ ExposureLabels::Label ExposureLabels::judge(std::uint64_t frame, TimestampNs tim
   const double difference = offset ? offset->value - std::log(label->product()) : 0;
   if (!offset && !radiance_.empty())
     return {Verdict::kGood, *label};  // too dark or clipped to tell
-  if (std::abs(difference) < kAgrees)
-    return accept(*label, time, seen, offset && offset->spread < kUniform ? difference : drift_);
+  if (std::abs(difference) < kLabelAgrees)
+    return accept(*label, time, seen,
+                  offset && offset->spread < kLabelUniform ? difference : drift_);
   // A slip changes everything by the ratio of two requests; anything else is a change of light.
   const bool slipped =
-      offset->spread < kUniform && std::ranges::any_of(requests_, [&](const Request& r) {
+      offset->spread < kLabelUniform && std::ranges::any_of(requests_, [&](const Request& r) {
         return std::abs(offset->value - std::log(r.exposure.product())) < kExact &&
-               std::abs(std::log(r.exposure.product() / label->product())) > kAgrees;
+               std::abs(std::log(r.exposure.product() / label->product())) > kLabelAgrees;
       });
   if (!slipped || refused_in_a_row_ >= kMaxPatience) {
     radiance_.clear();
-    return accept(*label, time, seen, 0);
+    // Light that changes as a whole frame after frame may be labels that are late throughout.
+    if (offset->spread < kLabelUniform && ++changes_ >= kLabelPatience) changes_ = 0, find_delay();
+    return accept(in_force(frame, *delay_).value_or(*label), time, seen, 0);
   }
   ++refused_in_a_row_;
   good_in_a_row_ = 0;
-  if (++suspicion_ >= kPatience) find_delay();
+  if (++suspicion_ >= kLabelPatience) find_delay();
   return {Verdict::kRefused, *label};
 }
 
