@@ -31,6 +31,8 @@ struct HdrImage {
   std::size_t non_finite = 0;  // pixels with a NaN or an infinity in any channel
   std::optional<EnvironmentAttribute> environment;  // OpenEXR only
   Image<float> alpha{};  // as stored; empty where the file has none. OpenEXR only
+  /// Above 0 where the radiance is a lower bound, by a channel of that name; likewise.
+  Image<float> clipped{};
 };
 
 /// Reads .exr (RGB, grey, luminance/chroma; scan lines or tiles, level 0; first part) or Radiance
@@ -47,12 +49,13 @@ enum class Depth { kHalf, kFloat };
 
 /// Writes .exr (ZIP) or .hdr by extension, atomically. .hdr cannot hold negative values: they are
 /// 0.
-/// in:      alpha: written as it is; empty: none
-/// errors:  kInvalid (empty, unknown extension, an alpha of another size or in .hdr), kUnwritable
+/// in:      alpha, clipped: channels "A" and "clipped" of .exr, written as they are; empty: none
+/// errors:  kInvalid (empty, unknown extension, such a channel of another size or in .hdr),
+///          kUnwritable
 Result<void> write_hdr(const std::filesystem::path& path, const Image<Rgb>& pixels,
                        Depth depth = Depth::kHalf,
                        std::optional<EnvironmentAttribute> environment = std::nullopt,
-                       const Image<float>& alpha = {});
+                       const Image<float>& alpha = {}, const Image<float>& clipped = {});
 
 /// Reads a camera frame by content: 8/16 bit PNG, JPEG, TIFF as RGB codes; EXR/HDR as linear float.
 /// Grey becomes three equal channels; alpha is dropped.

@@ -132,6 +132,9 @@ Result<void> check_header(const Imf::Header& header, const std::string& name) {
   return {};
 }
 
+// Our own: 1 where the radiance is a lower bound.
+constexpr const char* kClippedChannel = "clipped";
+
 struct ExrChannels {
   bool luminance_chroma = false;
   std::array<std::string, 3> rgb;  // three times the same for grey
@@ -159,8 +162,8 @@ std::string channel_names(const Imf::ChannelList& list) {
 }
 
 // Float slices, since the library's RGBA interface would clamp 32 bit channels to half.
-void read_channels(Imf::InputFile& file, const ExrChannels& channels, Image<Rgb>& pixels,
-                   Image<float>& alpha) {
+void read_channels(Imf::InputFile& file, const ExrChannels& channels, HdrImage& out) {
+  Image<Rgb>& pixels = out.pixels;
   const Imath::Box2i window = file.header().dataWindow();
   const bool grey = channels.rgb[0] == channels.rgb[1];
   Imf::FrameBuffer buffer;
@@ -169,12 +172,16 @@ void read_channels(Imf::InputFile& file, const ExrChannels& channels, Image<Rgb>
         channels.rgb[c],
         Imf::Slice::Make(Imf::FLOAT, &pixels.at(0, 0)[static_cast<int>(c)], window, sizeof(Rgb),
                          sizeof(Rgb) * static_cast<std::size_t>(pixels.width())));
-  const Imf::Channel* const stored = file.header().channels().findChannel("A");
-  if (stored && stored->xSampling == 1 && stored->ySampling == 1) {
-    alpha = Image<float>(pixels.width(), pixels.height());
-    buffer.insert("A", Imf::Slice::Make(Imf::FLOAT, alpha.pixels().data(), window, sizeof(float),
-                                        sizeof(float) * static_cast<std::size_t>(alpha.width())));
-  }
+  const auto take = [&](const char* name, Image<float>& values) {
+    const Imf::Channel* const stored = file.header().channels().findChannel(name);
+    if (!stored || stored->xSampling != 1 || stored->ySampling != 1 || channels.rgb[0] == name)
+      return;
+    values = Image<float>(pixels.width(), pixels.height());
+    buffer.insert(name, Imf::Slice::Make(Imf::FLOAT, values.pixels().data(), window, sizeof(float),
+                                         sizeof(float) * static_cast<std::size_t>(values.width())));
+  };
+  take("A", out.alpha);
+  take(kClippedChannel, out.clipped);
   file.setFrameBuffer(buffer);
   file.readPixels(window.min.y, window.max.y);
   if (grey)
@@ -243,7 +250,7 @@ Result<HdrImage> decode_checked(Bytes bytes, const std::string& name) {
   if (channels->luminance_chroma)
     read_luminance_chroma(bytes, name, out.pixels);
   else
-    read_channels(file, *channels, out.pixels, out.alpha);
+    read_channels(file, *channels, out);
   PENUMBRA_TRY(convert_to_rec709(header, name, out.pixels));
   out.non_finite = count_non_finite(out.pixels.pixels());
   out.environment = environment_of(header);
@@ -277,7 +284,8 @@ int compression_threads() {
 }
 
 std::string encode_exr(const std::string& name, const Image<Rgb>& pixels, Depth depth,
-                       std::optional<EnvironmentAttribute> environment, const Image<float>& alpha) {
+                       std::optional<EnvironmentAttribute> environment, const Image<float>& alpha,
+                       const Image<float>& clipped) {
   const Imf::PixelType type = depth == Depth::kHalf ? Imf::HALF : Imf::FLOAT;
   Imf::Header header(pixels.width(), pixels.height());
   header.compression() = Imf::ZIP_COMPRESSION;
@@ -299,13 +307,15 @@ std::string encode_exr(const std::string& name, const Image<Rgb>& pixels, Depth 
                   Imf::Slice(type, const_cast<char*>(base) + c * channel_bytes, 3 * channel_bytes,
                              3 * channel_bytes * static_cast<std::size_t>(pixels.width())));
   }
-  if (!alpha.empty()) {
-    header.channels().insert("A", Imf::Channel(Imf::FLOAT));
-    buffer.insert(
-        "A",
-        Imf::Slice(Imf::FLOAT, reinterpret_cast<char*>(const_cast<float*>(alpha.pixels().data())),
-                   sizeof(float), sizeof(float) * static_cast<std::size_t>(alpha.width())));
-  }
+  const auto add = [&](const char* channel, const Image<float>& values) {
+    if (values.empty()) return;
+    header.channels().insert(channel, Imf::Channel(Imf::FLOAT));
+    auto* const first = const_cast<float*>(values.pixels().data());
+    buffer.insert(channel, Imf::Slice(Imf::FLOAT, reinterpret_cast<char*>(first), sizeof(float),
+                                      sizeof(float) * static_cast<std::size_t>(values.width())));
+  };
+  add("A", alpha);
+  add(kClippedChannel, clipped);
   MemoryOutput stream(name);
   {
     Imf::OutputFile file(stream, header, compression_threads());
@@ -350,7 +360,8 @@ Result<HdrImage> read_hdr(const std::filesystem::path& path) {
 }
 
 Result<void> write_hdr(const std::filesystem::path& path, const Image<Rgb>& pixels, Depth depth,
-                       std::optional<EnvironmentAttribute> environment, const Image<float>& alpha) {
+                       std::optional<EnvironmentAttribute> environment, const Image<float>& alpha,
+                       const Image<float>& clipped) {
   const std::string extension = lower_extension(path);
   if (extension != ".exr" && extension != ".hdr")
     return fail(ErrorCode::kInvalid, path.string(), "ends neither in .exr nor in .hdr");
@@ -360,9 +371,13 @@ Result<void> write_hdr(const std::filesystem::path& path, const Image<Rgb>& pixe
     return fail(ErrorCode::kInvalid, path.string(),
                 extension == ".hdr" ? "cannot say which pixels were seen, their alpha: write .exr"
                                     : "has an alpha of another size than its colours");
+  if (!clipped.empty() && (extension == ".hdr" || !clipped.same_size(pixels)))
+    return fail(ErrorCode::kInvalid, path.string(),
+                extension == ".hdr" ? "cannot say which pixels are clipped: write .exr"
+                                    : "has clipped pixels of another size than its colours");
   if (extension == ".hdr") return write_bytes(path, encode_radiance(pixels));
   try {
-    return write_bytes(path, encode_exr(path.string(), pixels, depth, environment, alpha));
+    return write_bytes(path, encode_exr(path.string(), pixels, depth, environment, alpha, clipped));
   } catch (const std::exception& e) {
     return fail(ErrorCode::kUnwritable, path.string(), reason_of(e));
   }

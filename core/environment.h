@@ -22,5 +22,13 @@ struct Environment {
   std::vector<std::uint32_t> clipped{};
 };
 
+/// As files hold it: 1 where the radiance is a lower bound, 0 elsewhere; empty where it is none.
+inline Image<float> clipped_pixels(const Environment& map) {
+  if (map.clipped.empty()) return {};
+  Image<float> out(map.radiance.width(), map.radiance.height());
+  for (const std::uint32_t i : map.clipped) out.pixels()[i] = 1;
+  return out;
+}
+
 }  // namespace penumbra
 #pragma GCC visibility pop

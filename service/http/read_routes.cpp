@@ -102,7 +102,8 @@ void get_environment(HttpContext& context, const std::string& kind, Response& r)
           return codec::write_hdr(
               path, map->radiance, codec::Depth::kHalf,
               kind == ".exr" ? std::optional(codec::EnvironmentAttribute::kLatLong) : std::nullopt,
-              kind == ".exr" ? map->confidence : Image<float>());
+              kind == ".exr" ? map->confidence : Image<float>(),
+              kind == ".exr" ? clipped_pixels(*map) : Image<float>());
         });
   const auto s = context.sources.state.snapshot();
   reply(r, {{"width", map->radiance.width()},

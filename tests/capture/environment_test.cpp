@@ -254,6 +254,28 @@ TEST_F(EnvironmentFileTest, BlackPixelsOfAlphaZeroAreUnseen) {
   }
 }
 
+// A file that forgets what clipped promises a sun of whatever the camera could hold.
+TEST_F(EnvironmentFileTest, WhatIsClippedTravelsWithTheFile) {
+  Environment seen;
+  seen.radiance = Image<Rgb>(64, 32, {1, 2, 3});
+  seen.clipped = {9 * 64 + 32, 9 * 64 + 33};
+  const auto path = folder_.path() / "sun.exr";
+  ASSERT_TRUE(
+      codec::write_hdr(path, seen.radiance, codec::Depth::kFloat, {}, {}, clipped_pixels(seen)));
+  auto file = read_environment(path, std::nullopt);
+  ASSERT_TRUE(file);
+  const auto plain = to_latlong(*file);
+  ASSERT_TRUE(plain);
+  EXPECT_EQ(plain->clipped, seen.clipped);
+  EXPECT_NEAR(plain->clipped_fraction, 2 * latlong_solid_angle(9, 64, 32) / (4 * kPi), 1e-6);
+  turn(*file, Radians(kPi / 2));  // ahead becomes left
+  const auto turned = to_latlong(*file);
+  ASSERT_TRUE(turned);
+  EXPECT_EQ(turned->clipped, (std::vector<std::uint32_t>{9 * 64 + 16, 9 * 64 + 17}));
+  EXPECT_FALSE(codec::write_hdr(folder_.path() / "sun.hdr", seen.radiance, codec::Depth::kFloat, {},
+                                {}, clipped_pixels(seen)));
+}
+
 TEST_F(EnvironmentFileTest, ResampledConstantStaysConstant) {
   for (const auto& [kind, width, height] : {std::tuple{ProjectionKind::kVerticalCross, 48, 64},
                                             {ProjectionKind::kAngular, 64, 64},

@@ -8,7 +8,9 @@
 #include "capture/recording/recording.h"
 #include "codec/codec.h"
 #include "core/counted.h"
+#include "core/environment.h"
 #include "core/io/files.h"
+#include "core/io/log.h"
 #include "runtime/pipeline/light_estimation_stage.h"
 #include "runtime/pipeline/report.h"
 #include "tools/common/command.h"
@@ -73,8 +75,11 @@ Result<void> hdr_environment(const HdrEnvironmentOptions& o) {
                   runtime::LightEstimationStage::create(source->cameras(), {.bands = 3}, times));
   PENUMBRA_ASSIGN(seen, replay(*source, stage, o.capture, o.at_s));
   const Environment& map = seen.map;
-  PENUMBRA_TRY(
-      codec::write_hdr(o.output, map.radiance, codec::Depth::kFloat, {}, seen_pixels(map)));
+  const bool tells_clipped = !o.output.ends_with(".hdr");
+  if (!tells_clipped && !map.clipped.empty())
+    log_warning("{}: its brightest light is a lower bound, which only .exr can say", o.output);
+  PENUMBRA_TRY(codec::write_hdr(o.output, map.radiance, codec::Depth::kFloat, {}, seen_pixels(map),
+                                tells_clipped ? clipped_pixels(map) : Image<float>()));
   if (!o.json) {
     fmt::print("{}: {}x{} from {} of {}, {:.1f} % of the sphere seen, {:.3f} % clipped\n", o.output,
                map.radiance.width(), map.radiance.height(), counted(stage.gains().size(), "view"),
