@@ -84,8 +84,10 @@ struct Pipeline::Impl {
 
   Result<std::unique_ptr<runtime::CompositeStage>> make_stage(const runtime::PreparedScene& of,
                                                               Compositor::Surface surface) const {
-    return runtime::CompositeStage::create(cameras, of, surface, *times, options.oversampling,
-                                           options.sampling);
+    PENUMBRA_ASSIGN(stage, runtime::CompositeStage::create(cameras, of, surface, *times,
+                                                           options.oversampling, options.sampling));
+    if (options.varies_rays) stage->vary_rays();
+    return std::move(stage);
   }
   Result<lighting::GovernorConfig> make_governor(const runtime::PreparedScene& of) const;
   Result<NextStage> prepare_next(std::shared_ptr<runtime::PreparedScene> next);

@@ -40,8 +40,9 @@ struct PipelineOptions {
   /// The governor's costs are measured on this machine. Else they are fixed, so that a replay makes
   /// the same choices everywhere.
   bool measure_costs = false;
-  bool window = false;   // where there is a display
-  int oversampling = 2;  // samples of a pixel along each axis, where one does not do
+  bool window = false;       // where there is a display
+  int oversampling = 2;      // samples of a pixel along each axis, where one does not do
+  bool varies_rays = false;  // the mean of successive pictures counts, as of a still's passes
   runtime::ShadowSampling sampling{};
   /// Where stages add their durations, for who shows them from the start; null: the pipeline's own.
   std::shared_ptr<StageTimes> timings;

@@ -137,6 +137,8 @@ class CompositeStage {
     keeps_time_ = true;
     mirrored_objects_.keep_time();
   }
+  /// As MirroredObjects::vary_rays.
+  void vary_rays() { mirrored_objects_.vary_rays(); }
 
  private:
   static constexpr double kDarker = 1. / 8;  // exposure of the first darker frame

@@ -22,7 +22,7 @@ using prt::RayWorld;
 constexpr std::size_t kLanes = RayWorld::kPacket;
 // From a surface, of an object's radius: smooth normals see the neighbouring facets otherwise.
 constexpr float kOffset = .002f;
-constexpr int kMaxTexelSamples = 16;
+constexpr int kMaxTexelSamples = 16, kMaxStillSamples = 64;
 
 const prt::Mesh& form_of(const prt::BakedObject& baked) {
   return baked.fine ? baked.fine->mesh : baked.mesh;
@@ -40,18 +40,22 @@ bool is_blended(const prt::Material& m) {
   return m.alpha == prt::Material::Alpha::kBlend || m.transmission > 0;
 }
 
-// Of `count` points that fill the unit square evenly: Fibonacci's lattice.
-glm::vec2 square_point(int i, int count) {
+// Of `count` points that fill the unit square evenly: Fibonacci's lattice, in each pass moved by
+// another one of Roberts' additive recurrence: within its strip, and around.
+glm::vec2 square_point(int i, int count, int pass) {
   constexpr float kGolden = .618034f;
-  const float across = static_cast<float>(i) * kGolden;
-  return {(static_cast<float>(i) + .5f) / static_cast<float>(count), across - std::floor(across)};
+  const auto shift = [&](float step) { return static_cast<float>(pass) * step; };
+  const auto fraction = [](float v) { return v - std::floor(v); };
+  return {(static_cast<float>(i) + fraction(.5f + shift(.7548777f))) / static_cast<float>(count),
+          fraction(static_cast<float>(i) * kGolden + shift(.5698403f))};
 }
 
 // Half way vector of a sample of the lobe, z along the normal: Walter et al. 2007, eq. 35.
-glm::vec3 half_vector(float alpha, int i, int count) {
-  if (count == 1) return {0, 0, 1};
-  const glm::vec2 u = square_point(i, count);
-  const float tangent = alpha * std::sqrt(u.x / (1 - u.x)), phi = 2 * static_cast<float>(kPi) * u.y;
+glm::vec3 half_vector(float alpha, const glm::vec2& u) {
+  constexpr float kFarthest = .999f;  // of the lobe's tail
+  const float tangent =
+                  alpha * std::sqrt(std::min(u.x, kFarthest) / (1 - std::min(u.x, kFarthest))),
+              phi = 2 * static_cast<float>(kPi) * u.y;
   return glm::normalize(glm::vec3(tangent * std::cos(phi), tangent * std::sin(phi), 1));
 }
 
@@ -65,32 +69,38 @@ struct LobeRay {
   glm::vec3 towards{0, 1, 0};
   float weight = 0;  // of all in the lobe; 0: it goes into the surface
 };
-// Of a sample by D n.h: Walter et al. 2007, eq. 41, without Fresnel's term.
-LobeRay lobe_ray(const prt::LocalMaterial& m, const glm::vec3& view, float alpha, int i,
-                 int count) {
-  const glm::vec3 h = frame_of(m.normal) * half_vector(alpha, i, count);
+// Of a sample by D n.h: Walter et al. 2007, eq. 41, without Fresnel's term. Weights are 1 in the
+// mean where nothing is hidden from anything.
+// half: way vector, z along the normal
+LobeRay lobe_ray(const prt::LocalMaterial& m, const glm::vec3& view, float alpha,
+                 const glm::vec3& half) {
+  const glm::vec3 h = frame_of(m.normal) * half;
   const float v_dot_h = glm::dot(view, h), n_dot_v = glm::dot(m.normal, view);
   const glm::vec3 l = 2 * v_dot_h * h - view;
   const float n_dot_l = glm::dot(m.normal, l);
   // So that not-finite normals fail, too.
   if (!(n_dot_v > 0 && v_dot_h > 0 && n_dot_l > 0 && glm::dot(m.plain, l) > 0)) return {};
-  const float weight =
-      lighting::ggx_visibility(alpha, n_dot_l, n_dot_v) * n_dot_l * v_dot_h / glm::dot(m.normal, h);
+  const float weight = 4 * lighting::ggx_visibility(alpha, n_dot_l, n_dot_v) * n_dot_l * v_dot_h /
+                       glm::dot(m.normal, h);
   return weight > 0 ? LobeRay{glm::normalize(l), weight} : LobeRay{};
 }
 
-// What a surface mirrors of even light. in: n_dot_v above 0
-Rgb mirrored_fraction(const prt::LocalMaterial& m, float n_dot_v) {
+struct EvenLight {
+  Rgb fraction;    // that a surface mirrors
+  float lobe = 1;  // the same in one bounce, were all facets perfect mirrors
+};
+// in: n_dot_v above 0
+EvenLight mirrored_of_even(const prt::LocalMaterial& m, float n_dot_v) {
   const Image<glm::vec2>& table = lighting::reflected_of_even_table();
   const float last = static_cast<float>(table.width() - 1);
   const auto at = [&](float v) {
     return static_cast<int>(std::lround(last * std::clamp(v, 0.f, 1.f)));
   };
   const glm::vec2 even = table.at(at(n_dot_v), at(m.roughness));
-  Rgb out;
+  EvenLight out{{}, std::max(even.x + even.y, 1e-3f)};
   for (int c = 0; c < 3; ++c)
-    out[c] = (m.reflectance[c] * even.x + m.grazing_reflectance * even.y) *
-             lighting::more_than_once(std::max(even.x + even.y, 1e-3f), m.reflectance[c]);
+    out.fraction[c] = (m.reflectance[c] * even.x + m.grazing_reflectance * even.y) *
+                      lighting::more_than_once(out.lobe, m.reflectance[c]);
   return out;
 }
 
@@ -247,7 +257,10 @@ void MirrorRays::send_first(const MirroredByObject& o, const ViewOfObjects& seen
     if (!first.active[i]) continue;
     const Lanes::MetSurface& s = first.surface[i];
     const float alpha = alpha_of(s.material.roughness);
-    const auto [towards, weight] = lobe_ray(s.material, s.view, alpha, sample, o.samples);
+    const glm::vec3 half =
+        o.samples == 1 ? glm::vec3(0, 0, 1)
+                       : half_vector(alpha, square_point(sample, o.samples, o.pass.value_or(0)));
+    const auto [towards, weight] = lobe_ray(s.material, s.view, alpha, half);
     if (weight <= 0) continue;
     const auto column = static_cast<std::uint32_t>(x + i);
     const float part = alpha / std::sqrt(static_cast<float>(o.samples));
@@ -270,14 +283,15 @@ void MirrorRays::send_first(const MirroredByObject& o, const ViewOfObjects& seen
 }
 
 // What one ray has met adds its own light, and sends the ray on unless it is the last.
-void MirrorRays::bounce(std::size_t i, bool last, Lanes& lanes, MirrorRow& out) const {
+void MirrorRays::bounce(const LaterSamples& later, std::size_t i, bool last, Lanes& lanes,
+                        MirrorRow& out) const {
   const Lanes::MetSurface& s = lanes.surface[i];
   const prt::LocalMaterial& m = s.material;
   MirrorChain& chain = lanes.chain[i];
   const float n_dot_v = glm::dot(m.normal, s.view);
   const bool is_seen = n_dot_v > 0;  // not finite: no
   last |= !s.mirrors || !is_seen;
-  const Rgb fraction = mirrored_fraction(m, is_seen ? n_dot_v : 1e-3f);
+  const auto [fraction, lobe] = mirrored_of_even(m, is_seen ? n_dot_v : 1e-3f);
   chain.emitted += lanes.weight[i] * m.emission;
   MetPlace place = s.place;
   place.weight = lanes.weight[i] * m.diffuse * (Rgb{1, 1, 1} - fraction);
@@ -285,20 +299,27 @@ void MirrorRays::bounce(std::size_t i, bool last, Lanes& lanes, MirrorRow& out) 
   if (last) place.weight += lanes.weight[i] * fraction * (m.diffuse + m.reflectance);
   chain.place[static_cast<std::size_t>(chain.places++)] = place;
   if (last) return lanes.end(i, out);
-  lanes.weight[i] = lanes.weight[i] * fraction;
-  chain.end_alpha = std::hypot(chain.end_alpha, alpha_of(m.roughness));
-  lanes.send(i, s.at + kOffset * radii_[s.object] * m.plain,
-             glm::normalize(glm::reflect(-s.view, m.normal)));
+  LobeRay on{glm::normalize(glm::reflect(-s.view, m.normal)), lobe};
+  float alpha = alpha_of(m.roughness);
+  if (later.place) {
+    on = lobe_ray(m, s.view, alpha, half_vector(alpha, *later.place));
+    alpha /= std::sqrt(static_cast<float>(later.count));
+  }
+  if (on.weight <= 0) return lanes.end(i, out);  // into the surface
+  lanes.weight[i] = lanes.weight[i] * fraction * (on.weight / lobe);
+  chain.end_alpha = std::hypot(chain.end_alpha, alpha);
+  lanes.send(i, s.at + kOffset * radii_[s.object] * m.plain, on.towards);
 }
 
 // Rays that have met something, on until they leave or have met enough.
-void MirrorRays::follow(const ViewOfObjects& seen, Lanes& lanes, MirrorRow& out) const {
+void MirrorRays::follow(const LaterSamples& later, const ViewOfObjects& seen, Lanes& lanes,
+                        MirrorRow& out) const {
   for (int hit = 1; lanes.any(); ++hit) {
     for (std::size_t i = 0; i < kLanes; ++i) {
       if (!lanes.active[i]) continue;
       if (lanes.hits.mesh[i] >= 0) {
         lanes.meet(i, *scene_, seen.poses);
-        bounce(i, hit == MirrorChain::kMaxHits, lanes, out);
+        bounce(later, i, hit == MirrorChain::kMaxHits, lanes, out);
         continue;
       }
       MirrorChain& chain = lanes.chain[i];
@@ -319,7 +340,11 @@ void MirrorRays::trace_row(const MirroredByObject& o, const ViewOfObjects& seen,
       for (std::size_t i = out.weights.size() - x; i < kLanes; ++i) first.active[i] = false;
       if (!first.any()) continue;
       send_first(o, seen, x, k, first, lanes, out);
-      follow(seen, lanes, out);
+      LaterSamples later{{}, o.samples};
+      // In another order than the first ones.
+      if (o.pass && o.samples > 1)
+        later.place = square_point((7 * k + 5) % o.samples, o.samples, *o.pass);
+      follow(later, seen, lanes, out);
     }
   std::erase_if(out.samples, [&](const MirrorSample& s) {
     return out.open[s.column] == 0 || out.open[s.column] >= .999f * out.weights[s.column];
@@ -344,7 +369,7 @@ int MirrorRays::choose_texels(MirroredByObject& o, const ViewOfObjects& seen, do
   if (!(side <= o.step && o.step <= std::max(1., 1.33 * side)))
     o.step = std::max(1, static_cast<int>(std::ceil(side)));
   o.samples = std::clamp(static_cast<int>(rays * o.step * o.step / pixels), o.least_samples,
-                         kMaxTexelSamples);
+                         o.pass ? kMaxStillSamples : kMaxTexelSamples);
   o.x0 = rect.x0 - rect.x0 % o.step, o.y0 = rect.y0 - rect.y0 % o.step;
   o.columns = (rect.x1 - o.x0 + o.step - 1) / o.step;
   return (rect.y1 - o.y0 + o.step - 1) / o.step;

@@ -6,6 +6,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <glm/vec3.hpp>
+#include <optional>
 #include <span>
 #include <utility>
 #include <vector>
@@ -64,8 +65,11 @@ struct MirroredByObject {
   int least_samples = 1;  // that its lobes take
   int samples = 1;        // of a texel
   int step = 1;           // pixels along a texel's side
-  int x0 = 0, y0 = 0;     // the first texel's corner, on multiples of `step`
-  int columns = 0;        // texels
+  /// Of pictures whose mean counts: each takes other rays, and what it meets mirrors by a lobe as
+  /// well; nothing: one picture, which must not have grain.
+  std::optional<int> pass{};
+  int x0 = 0, y0 = 0;  // the first texel's corner, on multiples of `step`
+  int columns = 0;     // texels
   std::vector<MirrorRow> rows{};
 };
 
@@ -100,8 +104,15 @@ class MirrorRays {
                   Lanes& lanes) const;
   void send_first(const MirroredByObject& o, const ViewOfObjects& seen, std::size_t x, int sample,
                   const Lanes& first, Lanes& lanes, MirrorRow& out) const;
-  void follow(const ViewOfObjects& seen, Lanes& lanes, MirrorRow& out) const;
-  void bounce(std::size_t lane, bool last, Lanes& lanes, MirrorRow& out) const;
+  // Of the lobe of what the sample of `place` meets: one for all, or another one for each.
+  struct LaterSamples {
+    std::optional<glm::vec2> place;
+    int count;  // that stand for a lobe
+  };
+  void follow(const LaterSamples& later, const ViewOfObjects& seen, Lanes& lanes,
+              MirrorRow& out) const;
+  void bounce(const LaterSamples& later, std::size_t lane, bool last, Lanes& lanes,
+              MirrorRow& out) const;
   void intersect_all(const ViewOfObjects& seen, Lanes& lanes) const;
 
   const PreparedScene* scene_;

@@ -193,12 +193,17 @@ bool MirroredObjects::TracedFor::shows(const ViewOfObjects& seen) const {
 
 void MirroredObjects::trace(CameraView& view, const ViewOfObjects& seen) {
   constexpr double kTarget_ms = 7;
+  constexpr int kPasses = 1 << 10;  // that differ
   const Stopwatch watch;
   rays_->set_poses(seen.poses);
   const auto shown = std::ranges::count_if(
       view.objects, [&](const MirroredByObject& o) { return seen.visible[o.object] != 0; });
   const double share = max_rays_ / static_cast<double>(std::max<std::ptrdiff_t>(1, shown));
-  for (MirroredByObject& o : view.objects) rays_->trace(o, seen, share);
+  for (MirroredByObject& o : view.objects) {
+    o.pass = next_pass_;
+    rays_->trace(o, seen, share);
+  }
+  if (next_pass_) next_pass_ = (*next_pass_ + 1) % kPasses;
   view.traced = {seen.view.camera,
                  seen.view.lens.get(),
                  {seen.poses.begin(), seen.poses.end()},

@@ -39,6 +39,11 @@ class MirroredObjects {
     keeps_time_ = true;
     max_rays_ = kMaxLiveRays;
   }
+  /// From now on the mean of successive pictures counts: each takes other rays.
+  void vary_rays() {
+    next_pass_ = 0;
+    max_rays_ = kMaxStillRays;
+  }
 
   struct LightOnObjects {
     const compositor::Surroundings& surroundings;
@@ -83,7 +88,8 @@ class MirroredObjects {
   compositor::MirroredPicture picture_of(const MirrorLighting& l) const;
 
   // Of a view, first ones.
-  static constexpr double kMaxRays = 1 << 18, kMaxLiveRays = 1 << 16, kMinRays = 1 << 12;
+  static constexpr double kMaxRays = 1 << 18, kMaxStillRays = 1 << 20, kMaxLiveRays = 1 << 16,
+                          kMinRays = 1 << 12;
 
   const PreparedScene* scene_;
   std::optional<MirrorRays> rays_;           // where any() holds
@@ -92,6 +98,7 @@ class MirroredObjects {
   std::optional<std::size_t> shown_camera_;
   std::uint64_t light_ = 1;
   bool keeps_time_ = false;
+  std::optional<int> next_pass_{};
   double max_rays_ = kMaxRays;
 };
 

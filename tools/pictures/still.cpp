@@ -115,6 +115,7 @@ Result<Pipeline> make_still_pipeline(const runtime::PreparedScene& scene,
   camera.world_from_camera = view.world_from_camera;
   PipelineOptions options;
   options.oversampling = 4;
+  options.varies_rays = true;
   options.sampling = sampling;
   const std::shared_ptr<const runtime::PreparedScene> borrowed(std::shared_ptr<void>(), &scene);
   return Pipeline::create({camera}, borrowed, options);
