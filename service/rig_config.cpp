@@ -103,6 +103,10 @@ Result<void> read_origins(const TomlKeys& keys, const toml::table& table, RigCon
     const auto origin = item.value<std::string>();
     if (!origin || !(origin->starts_with("http://") || origin->starts_with("https://")))
       return keys.invalid("origins", "holds what is no http:// or https:// origin");
+    // As browsers send it, or none would ever match.
+    if (origin->find('/', origin->find("//") + 2) != std::string::npos)
+      return keys.invalid(
+          "origins", *origin + " is more than an origin: leave out all after its host and port");
     c.origins.push_back(*origin);
   }
   return {};

@@ -36,10 +36,13 @@ inline std::size_t spelling_distance(std::string_view a, std::string_view b) {
 template <class Words>
 std::optional<std::string> nearest_word(std::string_view word, const Words& known) {
   std::optional<std::string> best;
-  std::size_t smallest = std::max<std::size_t>(1, word.size() / 3) + 1;
-  for (const auto& k : known)
-    if (const std::size_t d = spelling_distance(word, k); d < smallest)
+  std::size_t smallest = std::string_view::npos;
+  for (const auto& k : known) {
+    const std::size_t most =
+        std::max<std::size_t>(1, std::max(word.size(), std::string_view(k).size()) / 3);
+    if (const std::size_t d = spelling_distance(word, k); d <= most && d < smallest)
       smallest = d, best = std::string(k);
+  }
   return best;
 }
 

@@ -1,6 +1,7 @@
 #include "runtime/scene/scene.h"
 
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 
 #include <algorithm>
 #include <cmath>
@@ -280,9 +281,9 @@ Result<LoadedAsset> load_asset(const std::string& asset, Rgb albedo, float edge_
     const prt::Character walker = prt::make_walker(albedo);
     prt::deform(walker, prt::rest_pose(walker), mesh);
   } else if (asset.starts_with("builtin:")) {
-    return fail(ErrorCode::kNotFound, asset,
-                "is not a built-in asset, which are builtin:knot, builtin:twist, builtin:ball, "
-                "builtin:box and builtin:walker");
+    return fail(
+        ErrorCode::kNotFound, asset,
+        fmt::format("is not a built-in asset, which are {}", fmt::join(kBuiltinAssets, ", ")));
   } else {
     PENUMBRA_ASSIGN(imported, prt::import_mesh(asset, albedo));
     if (imported.degenerate_triangles > 0)

@@ -29,6 +29,9 @@
 #pragma GCC visibility push(default)
 namespace penumbra::runtime {
 
+inline constexpr std::array kBuiltinAssets{"builtin:knot", "builtin:twist", "builtin:ball",
+                                           "builtin:box", "builtin:walker"};
+
 /// Where a mesh stands in the world.
 struct Placement {
   glm::dvec3 position{0, 0, 0};

@@ -267,7 +267,10 @@ struct HttpApi::Impl {
       } else {
         reply(
             r,
-            {{"error", r.status == 413 ? "the request is too large" : "the request is not valid"}},
+            {{"error", r.status == 413   ? "the request is too large"
+                       : r.status == 414 ? "the address is longer than 8192 bytes"
+                       : r.status == 416 ? "the range makes no sense"
+                                         : "the request is not valid, or did not come as a whole"}},
             r.status);
       }
     });

@@ -578,6 +578,9 @@ function showPreparing(preparing) {
     label.children[1].textContent = percent(preparing[names[i]]);
   });
 }
+function showMissing(faults) {
+  setRows($("missing"), Object.entries(faults), ([name, reason]) => element("p", { class: "fault" }, `⚠ ${name}: ${reason}`));
+}
 // The service goes on telling of the last recording when it has ended.
 function showRecording(recording) {
   const goesOn = Boolean(recording?.active);
@@ -602,6 +605,7 @@ function show(newest) {
   showHeader();
   showObjects();
   showPreparing(state.preparing ?? {});
+  showMissing(state.faults ?? {});
   setText("no-objects", Object.keys(state.preparing ?? {}).length ? "Objects are being prepared" : "No objects yet");
   showLight(state.light);
   showPlan(state.light, state.budget.max_shadow_error);

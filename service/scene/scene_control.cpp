@@ -1,6 +1,7 @@
 #include "service/scene/scene_control.h"
 
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 
 #include <algorithm>
 #include <cmath>
@@ -127,7 +128,12 @@ Result<void> read_key(const std::string& key, const json& value, runtime::SceneO
 
 // Never a path out of the folder, nor an address.
 Result<std::string> asset_file(const std::string& asset, const fs::path& assets) {
-  if (asset.starts_with("builtin:")) return asset;
+  if (asset.starts_with("builtin:")) {
+    if (std::ranges::find(runtime::kBuiltinAssets, asset) != runtime::kBuiltinAssets.end())
+      return asset;
+    return fail(ErrorCode::kNotFound, "asset",
+                fmt::format("{} is none of {}", asset, fmt::join(runtime::kBuiltinAssets, ", ")));
+  }
   std::error_code error;
   const fs::path folder = fs::canonical(assets, error);
   const auto outside = [&] {
@@ -354,6 +360,7 @@ Result<void> SceneControl::show_scene(const runtime::Scene& scene) {
   for (runtime::SceneObject& o : scene_.objects) o.instance = ++instances_;
   added_.clear(), taken_away_.clear();
   follows_file_ = false;
+  keeper_->forget_faults();
   keeper_->want(scene_);
   return {};
 }
@@ -374,7 +381,9 @@ void SceneControl::follow_file(const runtime::Scene& last, const runtime::Scene&
     if (added_.contains(o.name)) wanted.objects.push_back(o);
   if (have_same_lamps(last, now)) wanted.lamps = scene_.lamps;
   scene_ = wanted;
-  if (keeper_ && bakes) keeper_->want(std::move(wanted));
+  if (!keeper_ || !bakes) return;
+  keeper_->forget_faults();
+  keeper_->want(std::move(wanted));
 }
 
 Result<void> SceneControl::remove(const std::string& object) {
@@ -385,7 +394,7 @@ Result<void> SceneControl::remove(const std::string& object) {
   if (std::erase_if(scene_.objects, [&](const auto& o) { return o.name == object; }) > 0) {
     if (added_.erase(object) == 0) taken_away_.insert(object);
     keeper_->want(scene_);
-  } else if (!shown) {
+  } else if (!shown && !keeper_->forget_fault(object)) {
     return fail(ErrorCode::kNotFound, fmt::format("object \"{}\"", object), "is not in the scene");
   }
   return {};

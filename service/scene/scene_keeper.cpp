@@ -71,6 +71,16 @@ std::map<std::string, std::string> SceneKeeper::faults() const {
   return faults_;
 }
 
+bool SceneKeeper::forget_fault(const std::string& object) {
+  const std::scoped_lock lock(mutex_);
+  return faults_.erase(object) > 0;
+}
+
+void SceneKeeper::forget_faults() {
+  const std::scoped_lock lock(mutex_);
+  faults_.clear();
+}
+
 std::optional<Result<void>> SceneKeeper::first_outcome() const {
   const std::scoped_lock lock(mutex_);
   return first_;

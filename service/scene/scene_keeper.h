@@ -38,6 +38,9 @@ class SceneKeeper {
   bool is_busy() const;
   /// Why objects that were wanted are not there, by object; "scene" where it is none of them.
   std::map<std::string, std::string> faults() const;
+  /// Takes what was said of an object, or of all, back. False: nothing was said.
+  bool forget_fault(const std::string& object);
+  void forget_faults();
   /// Of the scene that was wanted first: nothing while no word of it can be said yet. After a fault
   /// no more of it is baked.
   std::optional<Result<void>> first_outcome() const;

@@ -141,6 +141,13 @@ TEST(SceneKeeper, AnObjectThatCannotBeBakedIsToldAndLeavesTheOthersAlone) {
   EXPECT_TRUE(r.state("broken"));
   EXPECT_FALSE(r.keeper->faults().contains("broken"));
   EXPECT_TRUE(*r.keeper->first_outcome()) << "of the first scene alone";
+  broken.name = "never";
+  ASSERT_TRUE(r.control.add(broken));
+  r.settle();
+  ASSERT_TRUE(r.keeper->faults().contains("never"));
+  EXPECT_TRUE(r.control.remove("never")) << "an alert must end once somebody has read it";
+  EXPECT_TRUE(r.keeper->faults().empty());
+  EXPECT_FALSE(r.control.remove("never"));
 }
 
 // At the start the author of the scene wants to hear of it.

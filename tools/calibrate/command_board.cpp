@@ -16,6 +16,8 @@ struct CalibrateBoardOptions {
 };
 
 Result<void> print_board(const CalibrateBoardOptions& o) {
+  if (!o.output.ends_with(".pdf"))
+    return fail(ErrorCode::kInvalid, o.output, "does not end in .pdf, which is what a board is");
   PENUMBRA_ASSIGN(board, calib::parse_board(o.board));
   PENUMBRA_ASSIGN(paper, calib::parse_paper(o.paper));
   PENUMBRA_ASSIGN(page, calib::board_pdf(board, paper));

@@ -5,6 +5,11 @@
 #include <cmath>
 #include <filesystem>
 #include <functional>
+#include <map>
+#include <optional>
+#include <tuple>
+#include <utility>
+#include <vector>
 
 #include "calib/camera/camera_model.h"
 #include "calib/camera/response.h"
@@ -64,7 +69,7 @@ struct FoundBoards {
   std::vector<std::string> unreadable{};
 };
 
-// A picture of another size than the first is another camera's.
+// A frame of another size than the first is another camera's.
 Result<void> look_at_picture(const FramePixels& pixels, const calib::Board& board,
                              const std::string& name, FoundBoards& found) {
   const int w = capture::width(pixels), h = capture::height(pixels);
@@ -80,25 +85,44 @@ Result<void> look_at_picture(const FramePixels& pixels, const calib::Board& boar
   return {};
 }
 
+// Pictures of another size than most are another camera's.
 Result<FoundBoards> look_at_pictures(const std::vector<std::string>& pictures,
                                      const calib::Board& board) {
   FoundBoards found;
   const auto progress = progress_bar("looking for the board");
   std::optional<Error> first;
+  struct LookedAt {
+    std::string picture;
+    std::optional<calib::BoardView> view;
+  };
+  std::map<std::pair<int, int>, std::vector<LookedAt>> of_size;
+  std::size_t looked = 0;
   for (const std::string& picture : pictures) {
     const auto pixels = codec::read_frame(picture);
     if (pixels) {
-      PENUMBRA_TRY(look_at_picture(*pixels, board, picture, found));
+      const std::pair size{capture::width(*pixels), capture::height(*pixels)};
+      of_size[size].push_back({picture, calib::find_board(*pixels, board, picture)});
     } else {
       if (!first) first = pixels.error();
       found.unreadable.push_back(picture);
       log_warning("{}: left out: {}", pixels.error().where, pixels.error().detail);
     }
-    if (progress)
-      progress(static_cast<double>(found.pictures + found.unreadable.size()) /
-               static_cast<double>(pictures.size()));
+    if (progress) progress(static_cast<double>(++looked) / static_cast<double>(pictures.size()));
   }
-  if (found.pictures == 0 && first) return std::unexpected(*first);
+  if (of_size.empty()) return first ? std::unexpected(*first) : Result<FoundBoards>(found);
+  const auto usual = std::ranges::max_element(
+      of_size, {}, [](const auto& size_and_pictures) { return size_and_pictures.second.size(); });
+  std::tie(found.width, found.height) = usual->first;
+  found.pictures = usual->second.size();
+  for (auto& [picture, view] : usual->second)
+    if (view) found.views.push_back(std::move(*view));
+  for (const auto& [size, others] : of_size)
+    for (const auto& [picture, view] : others) {
+      if (size == usual->first) continue;
+      found.unreadable.push_back(picture);
+      log_warning("{}: left out: has {}x{} pixels, most have {}x{}", picture, size.first,
+                  size.second, found.width, found.height);
+    }
   return found;
 }
 

@@ -76,12 +76,21 @@ std::vector<std::string> commands_of(const CLI::App& app) {
   return names;
 }
 
+// "light estimate", where some command has a command of that name; empty: none has.
+std::string inner_command(const CLI::App& app, std::string_view name) {
+  for (const CLI::App* c : app.get_subcommands([](const CLI::App*) { return true; }))
+    for (const std::string& inner : commands_of(*c))
+      if (inner == name) return c->get_name() + " " + inner;
+  return {};
+}
+
 // What a flag of before is now, or a mistyped command or flag should have been, where something is
 // near.
 std::optional<Error> misspelling(const FoundCommand& found, std::span<char* const> arguments) {
   if (!found.unknown.empty()) {
     const std::vector<std::string> names = commands_of(*found.app);
-    const auto near = nearest_word(found.unknown, names);
+    const std::string inner = inner_command(*found.app, found.unknown);
+    const auto near = inner.empty() ? nearest_word(found.unknown, names) : inner;
     return Error{ErrorCode::kInvalid, std::string(found.unknown),
                  near ? fmt::format("is no command: did you mean {}?", *near)
                       : fmt::format("is no command: there are {}", fmt::join(names, ", "))};
@@ -91,6 +100,11 @@ std::optional<Error> misspelling(const FoundCommand& found, std::span<char* cons
     for (const std::string& name : option->get_lnames()) flags.push_back("--" + name);
   for (const std::string_view argument : arguments) {
     const std::string_view flag = argument.substr(0, argument.find('='));
+    // One dash too few.
+    if (const std::string twice = "-" + std::string(flag);
+        flag.starts_with('-') && std::ranges::find(flags, twice) != flags.end())
+      return Error{ErrorCode::kInvalid, std::string(flag),
+                   fmt::format("is no flag here: did you mean {}?", twice)};
     if (!flag.starts_with("--") || std::ranges::find(flags, flag) != flags.end()) continue;
     if (const auto now = new_name(kRenamedFlags, flag);
         now && std::ranges::find(flags, *now) != flags.end())
