@@ -138,6 +138,24 @@ struct RigFile {
   std::string text;
 };
 
+// Of work that takes long, a line every ten seconds.
+class ProgressLog {
+ public:
+  explicit ProgressLog(std::string work) : work_(std::move(work)) {}
+  void tell(double done) {
+    constexpr auto kBetween = std::chrono::seconds(10);
+    const std::scoped_lock lock(mutex_);
+    if (done >= 1 || std::chrono::steady_clock::now() - last_ < kBetween) return;
+    last_ = std::chrono::steady_clock::now();
+    log_info("{}: {:.0f} % is done", work_, 100 * done);
+  }
+
+ private:
+  const std::string work_;
+  std::mutex mutex_;
+  std::chrono::steady_clock::time_point last_ = std::chrono::steady_clock::now();
+};
+
 // The camera's picture and the light at once, objects as they are baked.
 class Service {
  public:
@@ -147,9 +165,11 @@ class Service {
         error_limit_(config.max_shadow_error),
         recording_(config.recordings),
         progress_([this, progress](const std::string& work) {
-          return [this, work, shown = progress(work)](double done) {
+          return [this, work, shown = progress(work),
+                  log = std::make_shared<ProgressLog>(work)](double done) {
             if (shown) shown(done);
             state_.publish_progress(work, done);
+            log->tell(done);
           };
         }) {}
   Result<void> run();

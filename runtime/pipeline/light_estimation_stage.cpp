@@ -103,8 +103,8 @@ Result<LightEstimationStage> LightEstimationStage::create(
 }
 
 bool LightEstimationStage::ready() const {
-  const bool all = std::ranges::all_of(views_, [](const RegionView& v) {
-    return v.bracket_complete() || (v.fresh && v.map.clipped_fraction == 0);
+  const bool all = std::ranges::all_of(views_, [&](const RegionView& v) {
+    return is_complete(v) || (v.fresh && v.map.clipped_fraction == 0);
   });
   return all || frames_ >= kPatience * cameras_.size();
 }
@@ -234,6 +234,9 @@ void LightEstimationStage::fix_rows(int rows) {
 
 Result<void> LightEstimationStage::assemble(const capture::Frame& frame) {
   ++frames_;
+  settled_ = false;
+  if (last_) gap_ = std::max(gap_, frame.time - *last_);
+  last_ = frame.time;
   PENUMBRA_TRY(follow(frame));
   Result<void> failed;
   bool any = false;
@@ -249,15 +252,32 @@ Result<void> LightEstimationStage::assemble(const capture::Frame& frame) {
   Environment& environment = whole();
   // What the first exposures saturate a shorter one may still resolve: nothing is read off a floor
   // for it, and nothing is promised.
-  const auto owes = [](const RegionView& v) { return v.fresh && !v.bracket_complete(); };
+  const auto owes = [&](const RegionView& v) { return v.fresh && !is_complete(v); };
   awaits_shorter_ = std::ranges::any_of(views_, owes) && !environment.clipped.empty();
-  if (awaits_shorter_) environment.clipped.clear();
+  awaited_.clear();
+  if (awaits_shorter_) awaited_.swap(environment.clipped);
   return {};
 }
 
 Result<void> LightEstimationStage::process(const capture::Frame& frame,
                                            lighting::LightEstimate& out) {
   PENUMBRA_TRY(assemble(frame));
+  return estimate(out);
+}
+
+Result<void> LightEstimationStage::settle(TimestampNs now, lighting::LightEstimate& out) {
+  constexpr double kGaps = 3;
+  constexpr Seconds kOfOneFrame(.5);
+  if (!last_ || settled_ || ready()) return {};
+  if (now - *last_ < (gap_ > Seconds(0) ? kGaps * gap_ : kOfOneFrame)) return {};
+  settled_ = true;
+  const bool anew = std::exchange(awaits_shorter_, false);
+  if (!anew) return {};
+  (blend_ ? environment_ : views_[0].map).clipped.swap(awaited_);
+  return estimate(out);
+}
+
+Result<void> LightEstimationStage::estimate(lighting::LightEstimate& out) {
   const Environment& environment = this->environment();
   {
     const StageTimer timer(times_, "light");

@@ -51,6 +51,15 @@ class LightEstimationStage {
   /// black or all clipped, a ball out of the picture)
   /// out: keeps its memory; as it was after an error
   Result<void> process(const capture::Frame& frame, lighting::LightEstimate& out);
+  /// Later than all frames.
+  static constexpr TimestampNs kNoMore{std::int64_t{1} << 62};
+  /// Once no exposure has come for a while before `now` the bracket is taken for whole: what was
+  /// held back for want of a shorter one counts, and the light is measured anew.
+  /// out: as it was where nothing changes
+  Result<void> settle(TimestampNs now, lighting::LightEstimate& out);
+  /// The light of environment() once more, with recoveries that came since.
+  /// in: after process()
+  Result<void> renew(lighting::LightEstimate& out) { return estimate(out); }
   /// As process() without an estimate: into environment() alone.
   Result<void> assemble(const capture::Frame& frame);
   /// Makes all maps of so many rows, whatever the cameras resolve.
@@ -92,6 +101,8 @@ class LightEstimationStage {
   Result<void> follow(const capture::Frame& frame);
   Result<void> merge(RegionView& view, const capture::Frame& frame);
   Environment& whole();
+  bool is_complete(const RegionView& view) const { return settled_ || view.bracket_complete(); }
+  Result<void> estimate(lighting::LightEstimate& out);
   void warn_once(const lighting::LightEstimate& estimate);
   enum class Told { kKnown, kGuess, kRefused };
   bool is_news(int source, Told told);
@@ -109,6 +120,10 @@ class LightEstimationStage {
   bool warned_ = false;                  // that a source is clipped
   std::set<std::pair<int, Told>> told_;  // of recovered lights
   bool awaits_shorter_ = false;          // an exposure that may resolve what is clipped
+  std::vector<std::uint32_t> awaited_;   // clipped pixels of the newest map, until then
+  std::optional<TimestampNs> last_{};    // frame
+  Seconds gap_{0};                       // between two of them, at most
+  bool settled_ = false;                 // no more exposures are waited for
   bool said_gains_ = false, said_sun_ = false;
 };
 

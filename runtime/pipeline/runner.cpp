@@ -119,9 +119,12 @@ class Replay {
     return light_.ready() ? compose_waiting() : Result<void>{};
   }
 
-  void measure_light(const capture::Frame& view) {
-    light_.add_recoveries(
-        compose_.recover_lights(view, estimate_, darker_of(source_, view.camera)));
+  // What a floor tells counts at once: a capture of one bracket has no next map.
+  Result<void> measure_light(const capture::Frame& view) {
+    const auto found = compose_.recover_lights(view, estimate_, darker_of(source_, view.camera));
+    if (found.empty()) return {};
+    light_.add_recoveries(found);
+    return light_.renew(estimate_);
   }
 
   // View frames that wait are composited with what was in front of them.
@@ -139,6 +142,7 @@ class Replay {
   }
 
   Result<void> add_view(const capture::Frame& frame) {
+    PENUMBRA_TRY(light_.settle(frame.time, estimate_));
     constexpr std::size_t kMaxWaiting = 16, kMaxPixels = 64'000'000;
     waiting_.push_back(frame);
     std::size_t pixels = 0, views = 0;
@@ -150,6 +154,12 @@ class Replay {
     return wait ? Result<void>{} : compose_waiting();
   }
 
+  /// What waits is composited with what there is.
+  Result<void> end() {
+    PENUMBRA_TRY(light_.settle(LightEstimationStage::kNoMore, estimate_));
+    return compose_waiting();
+  }
+
   Result<void> compose_waiting() {
     for (const capture::Frame& frame : waiting_) {
       if (!go_on_) break;
@@ -157,7 +167,7 @@ class Replay {
         PENUMBRA_TRY(compose_.add_foreground(frame));
         continue;
       }
-      measure_light(frame);
+      PENUMBRA_TRY(measure_light(frame));
       PENUMBRA_TRY(compose_one(frame, estimate_, compose_, sink_, counts_, go_on_));
     }
     waiting_.clear();
@@ -191,14 +201,14 @@ Result<RunCounts> run_replay(capture::FrameSource& source, LightEstimationStage&
     if (!frame) return std::unexpected(frame.error());
     if (!*frame) break;
     if ((*frame)->for_light) {
-      replay.measure_light(**frame);
+      PENUMBRA_TRY(replay.measure_light(**frame));
       continue;
     }
     if (is_foreground(source, **frame)) PENUMBRA_TRY(replay.add_foreground(**frame));
     if (light.takes((*frame)->camera)) PENUMBRA_TRY(replay.add_environment(**frame));
     if (is_view(source, **frame)) PENUMBRA_TRY(replay.add_view(**frame));
   }
-  PENUMBRA_TRY(replay.compose_waiting());
+  PENUMBRA_TRY(replay.end());
   counts.seconds = since(start);
   counts.exposures = static_cast<int>(light.exposures());
   PENUMBRA_TRY(never_any_light(counts, replay.last_unusable()));
@@ -309,7 +319,8 @@ void measure(Live& live, LightEstimationStage& light, const LiveChanges& changes
     while (true) {
       auto frame = live.environment.wait(Seconds(.5));
       if (!frame) {
-        if (held) live.light.put(*std::exchange(held, std::nullopt));
+        if (held && light.settle(LightEstimationStage::kNoMore, *held))
+          live.light.put(*std::exchange(held, std::nullopt));
         if (live.environment.closed()) return;
         continue;
       }

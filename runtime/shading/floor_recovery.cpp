@@ -326,7 +326,11 @@ bool FloorRecovery::differs_from_said(const std::vector<lighting::SaturationReco
     }
     const auto before = std::ranges::find(said_, c.source, &lighting::SaturationRecovery::source);
     if (before == said_.end() || (before->is_guess && !c.is_guess)) return false;
-    const float was = luminance(before->power);
+    // What the light has made of it since: shorter exposures leave less of a disc, and of its power.
+    const auto now = std::ranges::find(light.lights, c.source, &lighting::DistantLight::id);
+    const float was = now == light.lights.end() || c.is_guess
+                          ? luminance(before->power)
+                          : luminance(now->radiance) * static_cast<float>(now->solid_angle_sr());
     return std::abs(luminance(c.power) - was) <= kMinChange * was;
   });
 }

@@ -91,6 +91,20 @@ class DemoAndComposite(CliTest):
                             self.root / "with_depth_capture", "--scene", self.root / "scene.toml", "--coarse",
                             "--out", self.root / "refused")
 
+    def test_what_clips_in_every_exposure_is_said_by_every_step(self):
+        capture = self.root / "clipped"
+        files.write_capture(capture)
+        for i, code in enumerate((60, 160)):
+            files.write_png(capture / "environment" / f"{i}.png", 32, 16,
+                            lambda x, y, c=code: (255, 255, 255) if 14 < x < 18 and 3 < y < 6 else (c, c, c))
+        self.run_json("hdr", "environment", capture, "-o", self.root / "clipped.exr")
+        light = self.run_json("light", "estimate", self.root / "clipped.exr")
+        self.assertGreater(light["clipped_fraction"], 0)
+        self.assertTrue(any(one["lower_bound"] for one in light["lights"]), light["lights"])
+        said = self.run_program("light", "estimate", self.root / "clipped.exr")
+        self.assertRegex(said.stderr, "warning: .*clipped.exr: .* is saturated in every exposure")
+        self.assertIn("at least", said.stdout)
+
     def test_what_a_fisheye_does_not_see_is_said_by_every_step(self):
         capture = self.root / "fisheye"
         files.write_capture(capture)

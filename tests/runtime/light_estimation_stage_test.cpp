@@ -163,6 +163,33 @@ TEST(LightEstimationStage, NothingIsPromisedBeforeTheBracketIsWhole) {
   }
 }
 
+// Captures of one bracket, whose exposures never come again.
+TEST(LightEstimationStage, ABracketIsWholeOnceNothingMoreComes) {
+  capture::Sensor sensor;
+  sensor.response = calib::Response::srgb();
+  Stage s(filmed_by(sensor, 256, 128));
+  Image<Rgb> map(256, 128, {.2f, .2f, .2f});
+  for (int y = 30; y < 34; ++y)
+    for (int x = 100; x < 104; ++x) map.at(x, y) = {600, 600, 600};
+  lighting::LightEstimate light;
+  TimestampNs last;
+  for (std::uint64_t n = 0; n < 6; ++n) {
+    const auto frame = test::film_on_mains(sensor, map, n,
+                                           {1, 1. / 2, 1. / 4, 1. / 8, 1. / 16, 1. / 32}, {100, 0});
+    last = frame.time;
+    ASSERT_TRUE(s.light->process(frame, light));
+  }
+  const auto clips = [&] {
+    return std::ranges::any_of(light.lights, &lighting::DistantLight::clipped);
+  };
+  ASSERT_TRUE(s.light->settle(last + Seconds(.05), light));
+  EXPECT_FALSE(clips()) << "the next one may come";
+  EXPECT_FALSE(s.light->ready());
+  ASSERT_TRUE(s.light->settle(last + Seconds(.2), light));
+  EXPECT_TRUE(clips());
+  EXPECT_TRUE(s.light->ready());
+}
+
 TEST(LightEstimationStage, NonFinitePixelsAreLeftOutAndDoNotEndTheRun) {
   Stage s(camera_of(calib::ProjectionKind::kLatLong, 64, 32));
   Image<Rgb> map(64, 32, {1, 1, 1});

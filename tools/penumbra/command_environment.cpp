@@ -53,6 +53,9 @@ Result<AssembledView> replay(capture::FrameSource& source, runtime::LightEstimat
       why = estimate.error().where + ": " + estimate.error().detail;
   }
   if (!seen) return fail(ErrorCode::kUndetermined, name, why);
+  lighting::LightEstimate settled;
+  PENUMBRA_TRY(stage.settle(runtime::LightEstimationStage::kNoMore, settled));
+  if (settled.valid) seen->map = stage.environment();
   return std::move(*seen);
 }
 

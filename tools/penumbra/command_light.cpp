@@ -3,6 +3,7 @@
 
 #include "calib/camera/camera_model.h"
 #include "capture/environment/environment_file.h"
+#include "core/io/log.h"
 #include "lighting/estimate.h"
 #include "lighting/light_estimate.h"
 #include "lighting/lights/distant_light.h"
@@ -34,10 +35,15 @@ Result<void> light_estimate(const LightEstimateOptions& o) {
   PENUMBRA_ASSIGN(split, lighting::LightEstimator({bands, lights}).estimate(map));
   // Measured in the file's own pixels; the split in a lat-long map.
   const lighting::LightEstimate estimate = lighting::make_estimate(light.light, bands);
+  if (!map.clipped.empty())
+    log_warning(
+        "{}: {:.3f} % of the sphere is saturated in every exposure: its light is a lower bound",
+        o.environment, 100 * map.clipped_fraction);
   if (o.json) {
     nlohmann::json out = runtime::to_json(estimate), parts = runtime::to_json(split);
     out["lights"] = parts["lights"];
     out["residual"] = parts["residual"];
+    out["clipped_fraction"] = map.clipped_fraction;
     out["projection"] = calib::projection_name(light.file.projection.kind);
     out["non_finite"] = light.file.non_finite;
     print_json(out);
@@ -59,9 +65,11 @@ Result<void> light_estimate(const LightEstimateOptions& o) {
   for (const lighting::DistantLight& d : split.lights) {
     const Rgb e = d.irradiance();
     fmt::print(
-        "  light towards {:+.3f} {:+.3f} {:+.3f}, radius {:.2f} degrees, irradiance {:.4g} {:.4g} "
+        "  light towards {:+.3f} {:+.3f} {:+.3f}, radius {:.2f} degrees, irradiance {}{:.4g} "
+        "{:.4g} "
         "{:.4g}\n",
-        d.direction.x, d.direction.y, d.direction.z, d.radius.value() * 180 / kPi, e.r, e.g, e.b);
+        d.direction.x, d.direction.y, d.direction.z, d.radius.value() * 180 / kPi,
+        d.is_lower_bound() ? "at least " : "", e.r, e.g, e.b);
   }
   return {};
 }
