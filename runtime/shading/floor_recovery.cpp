@@ -326,7 +326,7 @@ bool FloorRecovery::differs_from_said(const std::vector<lighting::SaturationReco
     }
     const auto before = std::ranges::find(said_, c.source, &lighting::SaturationRecovery::source);
     if (before == said_.end() || (before->is_guess && !c.is_guess)) return false;
-    // What the light has made of it since: shorter exposures leave less of a disc, and of its power.
+    // What the light has made of it since: shorter exposures leave less of a disc, and of power.
     const auto now = std::ranges::find(light.lights, c.source, &lighting::DistantLight::id);
     const float was = now == light.lights.end() || c.is_guess
                           ? luminance(before->power)

@@ -139,8 +139,8 @@ TEST(LightEstimationStage, ALampIsSaturatedOnlyWhereTheShortestExposureClips) {
   EXPECT_NE(bright[0].find("saturated in every exposure"), std::string::npos) << bright[0];
 }
 
-// Eight exposures, the longest first: what the first ones clip is no light that may be promised, nor
-// one that the floor is asked about.
+// Eight exposures, the longest first: what the first ones clip is no light that may be promised,
+// nor one that the floor is asked about.
 TEST(LightEstimationStage, NothingIsPromisedBeforeTheBracketIsWhole) {
   capture::Sensor sensor;
   sensor.response = calib::Response::srgb();

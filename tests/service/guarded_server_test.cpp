@@ -89,7 +89,7 @@ std::size_t answers_in(const std::string& text) {
 const std::string kInner =
     "PATCH / HTTP/1.1\r\nHost: localhost\r\nContent-Length: 0\r\nConnection: close\r\n\r\n";
 
-// The library reads ahead this far, and throws that away: what an attacker wants read begins behind.
+// The library reads ahead this far, and throws that away: what an attacker sends begins behind.
 constexpr std::size_t kReadAhead = 4096;
 
 // By a request within the body of another one.
