@@ -1,4 +1,5 @@
 
+#include <fmt/format.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
@@ -170,6 +171,96 @@ TEST(CharacterImport, NodesMoveAndMorphTargetsGrow) {
   subdivide(fine, .3f);
   ASSERT_GT(fine.positions.size(), 3u);
   for (const glm::vec3& p : mesh_at(fine, 0, .5).positions) EXPECT_NEAR(p.z, 1, 1e-4f);
+}
+
+// With a clip that moves node 0 by x = 0 to 4 within a second. mesh: the rest of the file
+Result<Character> moved_by_a_clip(test::GltfBuffer b, const std::string& nodes,
+                                  const std::string& meshes, const std::string& more = "") {
+  const int times = b.floats({0, 1}, "SCALAR", 2, R"(,"min":[0],"max":[1])"),
+            places = b.floats({0, 0, 0, 4, 0, 0}, "VEC3", 2);
+  const test::TempFolder folder;
+  const auto path = folder.path() / "thing.gltf";
+  b.write(path, fmt::format(R"("scenes":[{{"nodes":[0]}}],"nodes":[{}],"meshes":[{}]{},
+    "animations":[{{"name":"Go","channels":[{{"sampler":0,"target":{{"node":0,"path":"translation"}}}}],
+                    "samplers":[{{"input":{},"output":{}}}]}}])",
+                            nodes, meshes, more, times, places));
+  return import_character(path, kGrey);
+}
+
+test::GltfBuffer one_triangle() {
+  test::GltfBuffer b;
+  b.floats({0, 0, 0, 1, 0, 0, 0, 1, 0}, "VEC3", 3, R"(,"min":[0,0,0],"max":[1,1,0])");
+  return b;
+}
+constexpr const char* kOfPositions = R"({"primitives":[{"attributes":{"POSITION":0}}]})";
+
+// The matrices may be left out: Assimp takes what is not there for some, and ends the process.
+TEST(CharacterImport, ASkinWithoutMatricesStandsWhereItsJointsAre) {
+  test::GltfBuffer b = one_triangle();
+  b.shorts({0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0}, "VEC4", 3);
+  b.floats({1, 0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0}, "VEC4", 3);
+  const auto c = moved_by_a_clip(
+      b, R"({"children":[1]},{"mesh":0,"skin":0})",
+      R"({"primitives":[{"attributes":{"POSITION":0,"JOINTS_0":1,"WEIGHTS_0":2}}]})",
+      R"(,"skins":[{"joints":[0]}])");
+  ASSERT_TRUE(c) << c.error().detail;
+  EXPECT_LT(glm::distance(mesh_at(*c, 0, .5).positions[1], {3, 0, 0}), 1e-4f);
+}
+
+TEST(CharacterImport, QuantisedPositionsMoveAsOthersDo) {
+  test::GltfBuffer b;
+  b.shorts({0, 0, 0, 65535, 0, 0, 0, 65535, 0}, "VEC3", 3);  // of whole numbers
+  const auto c = moved_by_a_clip(
+      b, R"({"children":[1]},{"mesh":0,"scale":[0.0000152590,0.0000152590,0.0000152590]})",
+      kOfPositions, R"(,"extensionsRequired":["KHR_mesh_quantization"])");
+  ASSERT_TRUE(c) << c.error().detail;
+  EXPECT_LT(glm::distance(mesh_at(*c, 0, .5).positions[1], {3, 0, 0}), 1e-3f);
+}
+
+TEST(CharacterImport, InstancesAllMove) {
+  test::GltfBuffer b = one_triangle();
+  b.floats({0, 0, 0, 0, 5, 0, 0, 10, 0}, "VEC3", 3);
+  const auto c = moved_by_a_clip(
+      b, R"({"mesh":0,"extensions":{"EXT_mesh_gpu_instancing":{"attributes":{"TRANSLATION":1}}}})",
+      kOfPositions, R"(,"extensionsUsed":["EXT_mesh_gpu_instancing"])");
+  ASSERT_TRUE(c) << c.error().detail;
+  const Mesh mesh = mesh_at(*c, 0, .5);
+  ASSERT_EQ(mesh.positions.size(), 9u);
+  EXPECT_LT(glm::distance(mesh.positions[7], {3, 10, 0}), 1e-4f);
+}
+
+// Its triangles would be seen from behind, and be black.
+TEST(CharacterImport, AMirroredNodeShowsItsOutside) {
+  const auto c = moved_by_a_clip(one_triangle(), R"({"children":[1]},{"mesh":0,"scale":[-1,1,1]})",
+                                 kOfPositions);
+  ASSERT_TRUE(c) << c.error().detail;
+  const Mesh mesh = mesh_at(*c, 0, 0);
+  const auto& t = mesh.triangles[0];
+  const glm::vec3 a = mesh.positions[t[0]];
+  EXPECT_GT(glm::cross(mesh.positions[t[1]] - a, mesh.positions[t[2]] - a).z, .5f);
+}
+
+TEST(CharacterImport, WhatIsDamagedIsToldInOneLine) {
+  const std::string node = R"({"mesh":0})";
+  const auto told = [&](const Result<Character>& c) {
+    return c ? std::string("read") : c.error().detail;
+  };
+  EXPECT_THAT(told(moved_by_a_clip(one_triangle(), R"({"mesh":0,"skin":5})", kOfPositions)),
+              testing::HasSubstr("\"skin\" is 5"));
+  EXPECT_THAT(
+      told(moved_by_a_clip(one_triangle(), node, kOfPositions, R"(,"skins":[{"joints":[]}])")),
+      testing::HasSubstr("no joints"));
+  EXPECT_THAT(
+      told(moved_by_a_clip(one_triangle(), node, kOfPositions, R"(,"skins":[{"joints":[7]}])")),
+      testing::HasSubstr("a joint that is not there"));
+  std::string chain = R"({"children":[1]})";
+  for (int i = 1; i < 2000; ++i) chain += fmt::format(R"(,{{"children":[{}]}})", i + 1);
+  EXPECT_THAT(told(moved_by_a_clip(one_triangle(), chain + "," + node, kOfPositions)),
+              testing::HasSubstr("nests its nodes"));
+  const std::string deep(5000, '[');
+  EXPECT_THAT(told(moved_by_a_clip(one_triangle(), node, kOfPositions,
+                                   R"(,"extras":)" + deep + std::string(5000, ']'))),
+              testing::HasSubstr("nests its JSON"));
 }
 
 TEST(CharacterImport, AThingWithoutClipsSaysSo) {

@@ -13,8 +13,10 @@
 #include <string>
 #include <string_view>
 #include <utility>
+#include <vector>
 
 #include "core/io/files.h"
+#include "prt/geometry/gltf/gltf.h"
 
 namespace penumbra::prt {
 
@@ -108,6 +110,21 @@ class ObjFiles : public Assimp::DefaultIOSystem {
   std::deque<std::string> texts_;  // as long as Assimp may read them
 };
 
+// Hands out a glTF file as Assimp can read it; what it names, as it is.
+class GltfFiles : public Assimp::DefaultIOSystem {
+ public:
+  GltfFiles(std::string file, std::vector<unsigned char> bytes)
+      : file_(std::move(file)), bytes_(std::move(bytes)) {}
+  Assimp::IOStream* Open(const char* file, const char* mode) override {
+    if (file_ != file) return DefaultIOSystem::Open(file, mode);
+    return new Assimp::MemoryIOStream(bytes_.data(), bytes_.size());
+  }
+
+ private:
+  const std::string file_;
+  const std::vector<unsigned char> bytes_;
+};
+
 // Other kinds that Assimp knows end the process on a damaged file: Debian builds it with assertions
 // on.
 constexpr std::string_view kKinds[] = {".gltf", ".glb", ".obj", ".ply", ".stl", ".fbx", ".dae"};
@@ -128,6 +145,10 @@ Result<const aiScene*> open_scene(Assimp::Importer& importer, const std::filesys
     return fail(ErrorCode::kInvalid, file,
                 "is none of the mesh formats glTF, OBJ, PLY, STL, FBX and COLLADA");
   if (kind == ".obj") importer.SetIOHandler(new ObjFiles);  // which the importer owns
+  if (gltf::is_gltf(path)) {
+    PENUMBRA_ASSIGN(bytes, gltf::clip_file_bytes(path));
+    importer.SetIOHandler(new GltfFiles(file, std::move(bytes)));
+  }
   // Wide smoothing angle: scanned meshes come without normals and are smooth.
   importer.SetPropertyFloat(AI_CONFIG_PP_GSN_MAX_SMOOTHING_ANGLE, 80.f);
   const aiScene* scene = importer.ReadFile(

@@ -152,7 +152,7 @@ class Importer {
     add_surface(in);
     PENUMBRA_TRY(add_vertices(in));
     PENUMBRA_TRY(in.HasBones() ? add_skin(in, first) : add_rigid(in, node));
-    add_triangles(in, first);
+    add_triangles(in, first, !in.HasBones() && is_mirrored(node));
     return add_morph_targets(in, node, first);
   }
 
@@ -315,7 +315,17 @@ class Importer {
                       "has a different number of skin weights and vertices");
   }
 
-  void add_triangles(const aiMesh& in, std::size_t first) {
+  // Its triangles are seen from their other sides.
+  bool is_mirrored(int node) const {
+    bool out = false;
+    for (int at = node; at >= 0; at = out_.nodes[static_cast<std::size_t>(at)].parent) {
+      const glm::vec3& s = out_.nodes[static_cast<std::size_t>(at)].rest.scale;
+      out ^= s.x * s.y * s.z < 0;
+    }
+    return out;
+  }
+
+  void add_triangles(const aiMesh& in, std::size_t first, bool mirrored) {
     const auto& p = out_.positions;
     for (unsigned f = 0; f < in.mNumFaces; ++f) {
       const aiFace& face = in.mFaces[f];
@@ -328,6 +338,7 @@ class Importer {
         ++out_.degenerate_triangles;
         continue;
       }
+      if (mirrored) std::swap(t[1], t[2]);
       out_.triangles.push_back(t);
     }
   }

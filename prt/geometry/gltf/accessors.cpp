@@ -29,7 +29,7 @@ std::optional<ComponentType> component_of(const Json& of) {
 
 std::size_t components_of(const Json& accessor) {
   static constexpr std::pair<std::string_view, std::size_t> kTypes[] = {
-      {"SCALAR", 1}, {"VEC2", 2}, {"VEC3", 3}, {"VEC4", 4}};
+      {"SCALAR", 1}, {"VEC2", 2}, {"VEC3", 3}, {"VEC4", 4}, {"MAT4", 16}};
   const Json* type = member(accessor, "type");
   if (type && type->is_string())
     for (const auto& [name, count] : kTypes)

@@ -47,6 +47,22 @@ std::vector<std::string> names_in(const Json& root, const char* key) {
   return out;
 }
 
+// Who reads the text next may do so on the stack.
+constexpr int kMaxNesting = 200;
+int nesting_of(Bytes text) {
+  int depth = 0, deepest = 0;
+  bool quoted = false;
+  for (std::size_t i = 0; i < text.size(); ++i) {
+    const unsigned char c = text[i];
+    if (quoted && c == '\\') ++i;
+    if (c == '"') quoted = !quoted;
+    if (quoted) continue;
+    if (c == '{' || c == '[') deepest = std::max(deepest, ++depth);
+    if (c == '}' || c == ']') --depth;
+  }
+  return deepest;
+}
+
 }  // namespace
 
 const Json* member(const Json& of, const char* key) {
@@ -135,6 +151,8 @@ Result<void> Document::parse_json(Bytes text) {
   // Some programs put a byte order mark before UTF-8.
   if (text.size() >= 3 && text[0] == 0xef && text[1] == 0xbb && text[2] == 0xbf)
     text = text.subspan(3);
+  if (nesting_of(text) > kMaxNesting)
+    return invalid(fmt::format("nests its JSON deeper than {}", kMaxNesting));
   root_ = Json::parse(text.begin(), text.end(), nullptr, false);
   if (root_.is_discarded() || !root_.is_object())
     return fail(ErrorCode::kUnreadable, file_, "is not glTF: its JSON is damaged");

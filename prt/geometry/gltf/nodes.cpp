@@ -67,45 +67,6 @@ Result<glm::dmat4> local_matrix(const Document& document, const Json& node,
   return placed(translation, rotation, scale);
 }
 
-// Matrices of the node's instances, within the node.
-Result<std::vector<glm::dmat4>> instances(Document& document, const Json& node,
-                                          const std::string& name) {
-  const Json* found = extension(node, "EXT_mesh_gpu_instancing");
-  if (!found) return std::vector<glm::dmat4>{glm::dmat4(1)};
-  const Json* attributes = member(*found, "attributes");
-  if (!attributes) return document.invalid(name + " has instances without attributes");
-  std::optional<std::size_t> count;
-  const auto read = [&](const char* key, std::size_t components) -> Result<AccessorValues> {
-    PENUMBRA_ASSIGN(index, document.reference(*attributes, key, "accessors", name));
-    if (!index) return AccessorValues{};
-    const std::size_t allowed[] = {components};
-    PENUMBRA_ASSIGN(out, read_numbers(document, *index, allowed, name));
-    if (count.value_or(out.size()) != out.size())
-      return document.invalid(name + " has different numbers of places and turns of instances");
-    count = out.size();
-    return out;
-  };
-  PENUMBRA_ASSIGN(translations, read("TRANSLATION", 3));
-  PENUMBRA_ASSIGN(rotations, read("ROTATION", 4));
-  PENUMBRA_ASSIGN(scales, read("SCALE", 3));
-  if (!count || *count > kMaxPlaced)
-    return document.invalid(fmt::format("{} has no instances, or more than {}", name, kMaxPlaced));
-  std::vector<glm::dmat4> out;
-  for (std::size_t i = 0; i < *count; ++i) {
-    glm::dvec3 translation(0), scale(1);
-    glm::dquat turn(1, 0, 0, 0);
-    if (const auto t = translations.size() ? translations.at(i) : std::span<const float>{};
-        !t.empty())
-      translation = {t[0], t[1], t[2]};
-    if (const auto r = rotations.size() ? rotations.at(i) : std::span<const float>{}; !r.empty())
-      turn = glm::dquat(r[3], r[0], r[1], r[2]);
-    if (const auto s = scales.size() ? scales.at(i) : std::span<const float>{}; !s.empty())
-      scale = {s[0], s[1], s[2]};
-    out.push_back(placed(translation, turn, scale));
-  }
-  return out;
-}
-
 using Children = std::vector<std::vector<std::size_t>>;
 
 // With one parent for each node, what a root reaches is a tree.
@@ -155,6 +116,44 @@ Result<std::vector<std::size_t>> roots(const Document& document,
 
 }  // namespace
 
+Result<std::vector<glm::dmat4>> instance_matrices(Document& document, const Json& node,
+                                                  const std::string& name) {
+  const Json* found = extension(node, "EXT_mesh_gpu_instancing");
+  if (!found) return std::vector<glm::dmat4>{glm::dmat4(1)};
+  const Json* attributes = member(*found, "attributes");
+  if (!attributes) return document.invalid(name + " has instances without attributes");
+  std::optional<std::size_t> count;
+  const auto read = [&](const char* key, std::size_t components) -> Result<AccessorValues> {
+    PENUMBRA_ASSIGN(index, document.reference(*attributes, key, "accessors", name));
+    if (!index) return AccessorValues{};
+    const std::size_t allowed[] = {components};
+    PENUMBRA_ASSIGN(out, read_numbers(document, *index, allowed, name));
+    if (count.value_or(out.size()) != out.size())
+      return document.invalid(name + " has different numbers of places and turns of instances");
+    count = out.size();
+    return out;
+  };
+  PENUMBRA_ASSIGN(translations, read("TRANSLATION", 3));
+  PENUMBRA_ASSIGN(rotations, read("ROTATION", 4));
+  PENUMBRA_ASSIGN(scales, read("SCALE", 3));
+  if (!count || *count > kMaxPlaced)
+    return document.invalid(fmt::format("{} has no instances, or more than {}", name, kMaxPlaced));
+  std::vector<glm::dmat4> out;
+  for (std::size_t i = 0; i < *count; ++i) {
+    glm::dvec3 translation(0), scale(1);
+    glm::dquat turn(1, 0, 0, 0);
+    if (const auto t = translations.size() ? translations.at(i) : std::span<const float>{};
+        !t.empty())
+      translation = {t[0], t[1], t[2]};
+    if (const auto r = rotations.size() ? rotations.at(i) : std::span<const float>{}; !r.empty())
+      turn = glm::dquat(r[3], r[0], r[1], r[2]);
+    if (const auto s = scales.size() ? scales.at(i) : std::span<const float>{}; !s.empty())
+      scale = {s[0], s[1], s[2]};
+    out.push_back(placed(translation, turn, scale));
+  }
+  return out;
+}
+
 Result<std::vector<PlacedMesh>> placed_meshes(Document& document) {
   std::vector<bool> has_parent;
   PENUMBRA_ASSIGN(children, children_of_nodes(document, has_parent));
@@ -180,7 +179,7 @@ Result<std::vector<PlacedMesh>> placed_meshes(Document& document) {
     if (!mesh) continue;
     if (member(node, "skin"))
       document.leave_out(name + ": its skin is for animation, and it stands as it was bound");
-    PENUMBRA_ASSIGN(places, instances(document, node, name));
+    PENUMBRA_ASSIGN(places, instance_matrices(document, node, name));
     for (const glm::dmat4& place : places) out.push_back({*mesh, world * place, name});
     if (out.size() > kMaxPlaced)
       return document.invalid(fmt::format("places more than {} meshes", kMaxPlaced));

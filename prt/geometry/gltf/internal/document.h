@@ -39,6 +39,11 @@ class Document {
 
   const Json& root() const { return root_; }
   const std::string& file() const { return file_; }
+  /// The chunk of a binary file, if any.
+  std::optional<Bytes> binary() const {
+    if (!has_binary_) return std::nullopt;
+    return Bytes(bytes_).subspan(binary_from_, binary_size_);
+  }
 
   /// How many things the top-level list `list` ("meshes") has, and one of them.
   std::size_t count(const char* list) const;

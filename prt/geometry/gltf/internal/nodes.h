@@ -21,6 +21,11 @@ struct PlacedMesh {
   std::string name;  // of its node, for messages
 };
 
+/// Of a node's instances (EXT_mesh_gpu_instancing) within it; one where it has none.
+/// errors: kInvalid
+Result<std::vector<glm::dmat4>> instance_matrices(Document& document, const Json& node,
+                                                  const std::string& name);
+
 /// Of the file's scene, or of all roots where it has none, in the order of a walk from the roots;
 /// EXT_mesh_gpu_instancing gives one for each instance.
 /// errors: kInvalid (a node that is its own ancestor or has two parents; damaged transforms)
