@@ -12,6 +12,8 @@
 #include <exception>
 #include <string>
 
+#include "core/io/log.h"
+
 namespace penumbra::service {
 
 using namespace std::chrono_literals;
@@ -126,7 +128,8 @@ bool GuardedServer::process_and_close_socket(socket_t socket) {
   Client client(socket, *this);
   try {
     serve(client);
-  } catch (const std::exception&) {  // no request ends the service
+  } catch (const std::exception& e) {  // no request ends the service
+    log_warning("http: a connection is closed: {}", e.what());
   }
   client.close();
   --clients_;
