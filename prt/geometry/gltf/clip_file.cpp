@@ -33,8 +33,8 @@ std::string base64(std::span<const unsigned char> bytes) {
   return out;
 }
 
-// A file in the form that Assimp reads: packed views unpacked, small numbers as floats, instances as
-// nodes, matrices that a skin may leave out.
+// A file in the form that Assimp reads: packed views unpacked, small numbers as floats, instances
+// as nodes, matrices that a skin may leave out.
 class ClipFile {
  public:
   explicit ClipFile(Document& document) : document_(document), json_(document.root()) {}

@@ -29,8 +29,8 @@ Result<Import> import_bytes(std::vector<unsigned char> bytes, const std::filesys
 Result<std::vector<Material>> read_materials(std::vector<unsigned char> bytes,
                                              const std::filesystem::path& path);
 
-/// The file as Assimp reads it for its clips: checked, and without what Assimp does not know. A binary
-/// file stays one.
+/// The file as Assimp reads it for its clips: checked, and without what Assimp does not know. A
+/// binary file stays one.
 /// errors: as import_file
 Result<std::vector<unsigned char>> clip_file_bytes(const std::filesystem::path& path);
 
