@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <cstddef>
 #include <optional>
+#include <span>
 #include <tuple>
 #include <vector>
 
@@ -12,7 +13,7 @@
 namespace penumbra {
 
 /// The upper one of an even number; at least one value. Reorders them.
-inline double median(std::vector<double>& values) {
+inline double median(std::span<double> values) {
   const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
   std::ranges::nth_element(values, middle);
   return *middle;

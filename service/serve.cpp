@@ -10,6 +10,7 @@
 #include <cstdint>
 #include <cstdlib>
 #include <filesystem>
+#include <future>
 #include <mutex>
 #include <optional>
 #include <utility>
@@ -388,13 +389,14 @@ Result<void> Service::compose(capture::FrameSource& source, const std::atomic<bo
   return {};
 }
 
-// A bake cannot be told to stop. It leaves nothing half-written.
+// Neither a bake nor a source that is opened can be told to stop. They leave nothing half-written.
 void Service::end_at_once(const std::optional<Error>& failed) {
+  notify_system("STOPPING=1");
   (void)recording_.stop();
   if (failed)
     log_warning("{}: {}: the service ends", failed->where, failed->detail);
   else
-    log_info("stopped while objects were baked");
+    log_info("stopped while its scene was prepared");
   page_.reset(), socket_.reset(), tcp_.reset(), headset_.reset();
   std::_Exit(failed ? 2 : 0);
 }
@@ -409,8 +411,14 @@ Result<void> Service::run() {
     PENUMBRA_ASSIGN(headset, Headset::create(config_.headset));
     headset_ = std::move(headset);
   }
-  PENUMBRA_ASSIGN(rig, open_rig(config_, progress_, PlayedTimes::kOfNow,
-                                follows_head ? std::make_unique<HeadPoses>(headset_) : nullptr));
+  // A studio takes seconds to render its room, and a stop does not wait for it.
+  auto opening = std::async(std::launch::async, [&] {
+    return open_rig(config_, progress_, PlayedTimes::kOfNow,
+                    follows_head ? std::make_unique<HeadPoses>(headset_) : nullptr);
+  });
+  while (opening.wait_for(std::chrono::milliseconds(50)) != std::future_status::ready)
+    if (stop) end_at_once(std::nullopt);
+  PENUMBRA_ASSIGN(rig, opening.get());
   rig_ = std::move(rig);
   scene_now_ = shown_ = rig_.scene;
   PENUMBRA_TRY(Pipeline::check(rig_.source->cameras()));

@@ -4,6 +4,7 @@
 #include <array>
 #include <cmath>
 #include <numeric>
+#include <span>
 
 #include "core/median.h"
 
@@ -30,12 +31,14 @@ constexpr double kDriftSeconds = .7;  // what changes more slowly is light, not 
 struct Offset {
   double value = 0, spread = 0;
 };
-std::optional<Offset> offset_between(const std::vector<float>& signal,
-                                     const std::vector<float>& radiance) {
-  std::vector<double> logs;
-  for (std::size_t i = 0; i < std::min(signal.size(), radiance.size()); ++i)
-    if (signal[i] > 0 && radiance[i] > 0) logs.push_back(std::log(signal[i] / radiance[i]));
-  if (logs.size() < kMinBlocks) return std::nullopt;
+std::optional<Offset> offset_between(std::span<const float> signal,
+                                     std::span<const float> radiance) {
+  std::array<double, std::size_t{Brightness::kColumns} * Brightness::kRows> all;
+  std::size_t count = 0;
+  for (std::size_t i = 0; i < std::min({signal.size(), radiance.size(), all.size()}); ++i)
+    if (signal[i] > 0 && radiance[i] > 0) all[count++] = std::log(signal[i] / radiance[i]);
+  if (count < kMinBlocks) return std::nullopt;
+  const std::span logs(all.data(), count);
   Offset out;
   out.value = median(logs);
   for (double& l : logs) l = std::abs(l - out.value);
@@ -49,14 +52,21 @@ Brightness BrightnessMeter::measure(const FramePixels& pixels) {
   constexpr CellGrid kGrid{Brightness::kColumns, Brightness::kRows, 10, 10, .005f};
   meter_.measure(pixels, kGrid, cells_);
   Brightness out;
-  for (const Rgb& cell : cells_)
-    out.blocks.push_back(std::isnan(cell.g) ? 0 : (cell.r + cell.g + cell.b) / 3);
+  for (std::size_t i = 0; i < std::min(cells_.size(), out.blocks.size()); ++i) {
+    const Rgb& cell = cells_[i];
+    out.blocks[i] = std::isnan(cell.g) ? 0 : (cell.r + cell.g + cell.b) / 3;
+  }
   return out;
+}
+
+ExposureLabels::ExposureLabels(std::optional<int> delay) : delay_(delay) {
+  requests_.reserve(kRemembered + kMaxDelay + 1);
+  seen_.reserve(kRemembered + 1);
 }
 
 void ExposureLabels::requested(std::uint64_t after_frame, Exposure exposure) {
   requests_.push_back({after_frame, exposure});
-  while (requests_.size() > kRemembered + kMaxDelay) requests_.pop_front();
+  if (requests_.size() > kRemembered + kMaxDelay) requests_.erase(requests_.begin());
 }
 
 std::optional<Exposure> ExposureLabels::in_force(std::uint64_t frame, int delay) const {
@@ -124,7 +134,7 @@ void ExposureLabels::begin_with_history() {
 ExposureLabels::Label ExposureLabels::judge(std::uint64_t frame, TimestampNs time,
                                             const Brightness& seen) {
   seen_.push_back({frame, seen});
-  while (seen_.size() > (delay_ ? kEnough : kRemembered)) seen_.pop_front();
+  while (seen_.size() > (delay_ ? kEnough : kRemembered)) seen_.erase(seen_.begin());
   changes_ *= kForgottenChanges;
   if (!delay_) {
     if (seen_.size() >= kFirst) find_delay();

@@ -2,8 +2,9 @@
 // threads: thread-bound
 #pragma once
 
+#include <array>
+#include <cstddef>
 #include <cstdint>
-#include <deque>
 #include <optional>
 #include <vector>
 
@@ -15,7 +16,7 @@ namespace penumbra::capture {
 /// Mean linear signal on a coarse grid; 0 where something is clipped or dark.
 struct Brightness {
   static constexpr int kColumns = 16, kRows = 9;
-  std::vector<float> blocks;
+  std::array<float, std::size_t{kColumns} * kRows> blocks{};
 };
 class BrightnessMeter {
  public:
@@ -34,7 +35,7 @@ class ExposureLabels {
   /// No camera shows a request later, frames.
   static constexpr int kMaxDelay = 10;
   /// `delay`: frames between a request and the first frame that shows it; nothing: measured first.
-  explicit ExposureLabels(std::optional<int> delay) : delay_(delay) {}
+  explicit ExposureLabels(std::optional<int> delay);
 
   void requested(std::uint64_t after_frame, Exposure exposure);
   enum class Verdict {
@@ -69,10 +70,11 @@ class ExposureLabels {
   Label accept(const Exposure& exposure, TimestampNs time, const Brightness& seen, double offset);
 
   std::optional<int> delay_;
-  std::deque<Request> requests_;
-  std::deque<LabelledFrame> seen_;  // newest last
-  std::vector<float> radiance_;     // of the blocks; 0: unknown
-  double drift_ = 0;                // slow part of the offsets, natural logarithm
+  // Newest last; a frame that is judged allocates nothing.
+  std::vector<Request> requests_;
+  std::vector<LabelledFrame> seen_;
+  std::vector<float> radiance_;  // of the blocks; 0: unknown
+  double drift_ = 0;             // slow part of the offsets, natural logarithm
   TimestampNs last_;
   double suspicion_ = 0;  // refusals of late
   double changes_ = 0;    // of all light, of late

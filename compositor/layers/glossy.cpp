@@ -562,50 +562,69 @@ void Glossy::set_levels(GLuint program) const {
   glUniform1i(uniform(program, "level_count"), static_cast<GLint>(level_sizes_.size()));
 }
 
-// Farthest triangles first.
-void Glossy::draw_sorted(const GlossyObject& o, const GlossyObject::Part& part,
-                         const Placed& placed) {
+void Glossy::begin_part(const GlossyObject& o, const GlossyObject::Part& part,
+                        const UseProgram& use, const Placed& placed) {
+  const prt::Material& m = o.surface->materials[part.material];
+  const GLuint program = use(features_of(o, part));
+  set_scene(program, placed);
+  set_mirrored_floor(program, o, placed.world_from_object);
+  set_mirrored_objects(program, o);
+  set_material(m, program);
+  if (o.is_blended(part) ? !m.double_sided : placed.cull_backs && !o.shows_backs)
+    glEnable(GL_CULL_FACE);
+  else
+    glDisable(GL_CULL_FACE);
+}
+
+namespace {
+
+void draw_indices(std::size_t first, std::size_t count) {
+  glDrawElements(GL_TRIANGLES, static_cast<GLsizei>(count), GL_UNSIGNED_INT,
+                 reinterpret_cast<const void*>(first * sizeof(std::uint32_t)));
+}
+
+}  // namespace
+
+// Farthest triangles first, of all materials together.
+void Glossy::draw_sorted(const GlossyObject& o, const UseProgram& use, const Placed& placed) {
   const glm::vec3 eye(placed.world_from_object.inverse() * placed.eye);
-  const auto all = placed.triangles.subspan(static_cast<std::size_t>(part.first / 3),
-                                            static_cast<std::size_t>(part.count / 3));
-  order_.assign(all.begin(), all.end());
-  std::ranges::sort(order_, std::greater(), [&](const GlossyObject::Triangle& t) {
-    const glm::vec3 middle =
-        (placed.positions[t[0]] + placed.positions[t[1]] + placed.positions[t[2]]) / 3.f;
-    return glm::dot(middle - eye, middle - eye);
-  });
+  farthest_.clear();
+  for (const GlossyObject::Part& part : placed.parts) {
+    if (!o.is_blended(part)) continue;
+    for (const auto& t : placed.triangles.subspan(static_cast<std::size_t>(part.first / 3),
+                                                  static_cast<std::size_t>(part.count / 3))) {
+      const glm::vec3 middle =
+          (placed.positions[t[0]] + placed.positions[t[1]] + placed.positions[t[2]]) / 3.f;
+      farthest_.push_back({glm::dot(middle - eye, middle - eye), &part, t});
+    }
+  }
+  std::ranges::stable_sort(farthest_, std::greater(), &SortedTriangle::distance2);
+  order_.clear();
+  for (const SortedTriangle& s : farthest_) order_.push_back(s.corners);
   glBindBuffer(GL_ELEMENT_ARRAY_BUFFER, o.sorted.get());
   glBufferData(GL_ELEMENT_ARRAY_BUFFER, byte_count(order_), order_.data(), GL_STREAM_DRAW);
   glEnable(GL_BLEND);
   glBlendFunc(GL_ONE, GL_ONE_MINUS_SRC_ALPHA);
   glDepthMask(GL_FALSE);
-  glDrawElements(GL_TRIANGLES, part.count, GL_UNSIGNED_INT, nullptr);
+  for (std::size_t i = 0, next = 0; i < farthest_.size(); i = next) {
+    while (next < farthest_.size() && farthest_[next].part == farthest_[i].part) ++next;
+    begin_part(o, *farthest_[i].part, use, placed);
+    draw_indices(3 * i, 3 * (next - i));
+  }
   glDepthMask(GL_TRUE);
   glDisable(GL_BLEND);
 }
 
 void Glossy::draw(const GlossyObject& o, const UseProgram& use, const Placed& placed,
                   bool blended) {
+  if (blended) draw_sorted(o, use, placed);
   for (const GlossyObject::Part& part : placed.parts) {
-    if (o.is_blended(part) != blended) continue;
-    const prt::Material& m = o.surface->materials[part.material];
-    const GLuint program = use(features_of(o, part));
-    set_scene(program, placed);
-    set_mirrored_floor(program, o, placed.world_from_object);
-    set_mirrored_objects(program, o);
-    set_material(m, program);
-    if ((blended && !m.double_sided) || (placed.cull_backs && !o.shows_backs))
-      glEnable(GL_CULL_FACE);
-    if (blended) {
-      draw_sorted(o, part, placed);
-    } else {
-      glBindBuffer(GL_ELEMENT_ARRAY_BUFFER, placed.indices);
-      glDrawElements(GL_TRIANGLES, part.count, GL_UNSIGNED_INT,
-                     reinterpret_cast<const void*>(static_cast<std::size_t>(part.first) *
-                                                   sizeof(std::uint32_t)));
-    }
-    glDisable(GL_CULL_FACE);
+    if (blended || o.is_blended(part)) continue;
+    begin_part(o, part, use, placed);
+    glBindBuffer(GL_ELEMENT_ARRAY_BUFFER, placed.indices);
+    draw_indices(static_cast<std::size_t>(part.first), static_cast<std::size_t>(part.count));
   }
+  glDisable(GL_CULL_FACE);
   for (int unit = 0; unit < kMaps; ++unit) glBindSampler(static_cast<GLuint>(kFirstUnit + unit), 0);
   glActiveTexture(GL_TEXTURE0);
 }

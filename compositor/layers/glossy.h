@@ -115,8 +115,9 @@ class Glossy {
   GLuint sampler_of(const prt::Texture& texture);
   void set_material(const prt::Material& material, GLuint program);
   void set_scene(GLuint program, const Placed& placed) const;
-  void draw_sorted(const GlossyObject& object, const GlossyObject::Part& part,
-                   const Placed& placed);
+  void begin_part(const GlossyObject& object, const GlossyObject::Part& part, const UseProgram& use,
+                  const Placed& placed);
+  void draw_sorted(const GlossyObject& object, const UseProgram& use, const Placed& placed);
 
   std::map<PictureKey, HeldPicture> pictures_;
   std::map<std::uint32_t, GlSampler> samplers_;
@@ -130,7 +131,13 @@ class Glossy {
   Surroundings surroundings_;
   Rect canvas_{};
   int scale_ = 1;
-  std::vector<GlossyObject::Triangle> order_;  // scratch
+  struct SortedTriangle {
+    float distance2;
+    const GlossyObject::Part* part;
+    GlossyObject::Triangle corners;
+  };
+  std::vector<SortedTriangle> farthest_;       // scratch
+  std::vector<GlossyObject::Triangle> order_;  // likewise
 };
 
 }  // namespace penumbra::compositor

@@ -58,7 +58,9 @@ float radius_of(const Mesh& mesh) {
 }
 
 float likely_unit_m(const Mesh& mesh) {
-  constexpr float kLikelyCentimetres = 20, kLikelyMillimetres = 2000;  // of the largest extent
+  // Of the largest extent. At the second one centimetres make it as much too large as millimetres
+  // make it too small, for what stands on a table or a floor.
+  constexpr float kLikelyCentimetres = 7, kLikelyMillimetres = 316;
   const Bounds b = bounds_of(mesh);
   const glm::vec3 size = b.high - b.low;
   const float largest = std::max({size.x, size.y, size.z});

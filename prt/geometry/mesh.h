@@ -41,8 +41,8 @@ std::uint32_t nearest_corner(const Mesh& mesh, std::size_t triangle, float u, fl
 float radius_around(const Mesh& mesh, const glm::vec3& centre);
 /// The same around the middle of its bounds.
 float radius_of(const Mesh& mesh);
-/// Metres of the unit that its numbers are likely in: 1, .01 of one larger than 20 m, .001 of one
-/// larger than 2 km. Files are to be in metres; exporters that forget it write centimetres or
+/// Metres of the unit that its numbers are likely in: 1, .01 of one larger than 7 m, .001 of one
+/// larger than 316 m. Files are to be in metres; exporters that forget it write centimetres or
 /// millimetres.
 float likely_unit_m(const Mesh& mesh);
 /// Affine map of positions; normals follow by the inverse transpose.

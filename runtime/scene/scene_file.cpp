@@ -1,6 +1,8 @@
 #include <fmt/format.h>
 #include <fmt/ranges.h>
+#include <algorithm>
 
+#include "core/io/spelling.h"
 #include "core/io/toml_keys.h"
 #include "runtime/scene/scene.h"
 #include "shadows/visibility/lamp.h"
@@ -107,6 +109,13 @@ Result<SceneObject> read_object(const TomlKeys& keys, const fs::path& folder) {
   PENUMBRA_TRY(keys.only(kObjectKeys));
   SceneObject o;
   PENUMBRA_ASSIGN(asset, keys.text("asset"));
+  if (asset.starts_with("builtin:") &&
+      std::ranges::find(kBuiltinAssets, asset) == kBuiltinAssets.end()) {
+    const auto near = nearest_word(asset, kBuiltinAssets);
+    return keys.invalid("asset",
+                        near ? fmt::format("{} is not built in: did you mean {}?", asset, *near)
+                             : fmt::format("{} is not built in", asset));
+  }
   o.asset = resolve(asset, folder);
   o.name = fs::path(asset).stem().string();
   if (keys.has("name")) {

@@ -196,7 +196,7 @@ TEST(ExposureLabels, FlickerOfTheMainsGoesIntoTheGain) {
   // RMS of the change from frame to frame, of the radiance that the frames of one exposure give.
   const auto flicker = [&](bool with_gain) {
     BrightnessMeter meter(info());
-    Brightness first;
+    std::optional<Brightness> first;
     std::vector<double> ratios;
     for (std::size_t i = 60; i < r.frames.size(); ++i) {
       const Frame& f = r.frames[i];
@@ -204,11 +204,11 @@ TEST(ExposureLabels, FlickerOfTheMainsGoesIntoTheGain) {
       Brightness seen = meter.measure(*f.pixels);
       for (float& v : seen.blocks)
         v /= static_cast<float>(with_gain ? f.exposure.product() : f.exposure.time.count());
-      if (first.blocks.empty()) first = seen;
+      if (!first) first = seen;
       std::vector<double> blocks;
       for (std::size_t k = 0; k < seen.blocks.size(); ++k)
-        if (seen.blocks[k] > 0 && first.blocks[k] > 0)
-          blocks.push_back(seen.blocks[k] / first.blocks[k]);
+        if (seen.blocks[k] > 0 && first->blocks[k] > 0)
+          blocks.push_back(seen.blocks[k] / first->blocks[k]);
       std::ranges::nth_element(blocks, blocks.begin() + std::ssize(blocks) / 2);
       ratios.push_back(blocks[blocks.size() / 2]);
     }

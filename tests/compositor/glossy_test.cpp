@@ -316,6 +316,31 @@ TEST_F(GlossyBall, MaskedPlacesShowWhatIsBehindAndBlendedOnesAShareOfIt) {
   });
 }
 
+// Half red towards the eye, half green beyond, in the order of the materials and against it.
+TEST_F(GlossyBall, BlendedMaterialsLieOverWhateverIsFarther) {
+  const dvec3 to_eye = glm::normalize(test::scene_camera().world_from_camera.translation - kCentre);
+  for (const std::uint16_t near : {0, 1}) {
+    SetUp();
+    prt::Material glass{.opacity = .5f, .unlit = true};
+    glass.alpha = prt::Material::Alpha::kBlend;
+    glass.double_sided = true;
+    prt::SurfaceMaterials surface;
+    surface.materials = {glass, glass};
+    surface.materials[near].base_colour = {1, 0, 0};
+    surface.materials[1 - near].base_colour = {0, 1, 0};
+    for (const glm::vec3& n : object_.mesh.normals)
+      surface.material.push_back(glm::dot(dvec3(n), to_eye) > 0 ? near : std::uint16_t(1 - near));
+    object_.surface = std::make_shared<const prt::SurfaceMaterials>(std::move(surface));
+    compositor_->set_surroundings({reflections_of(even_map({0, 0, 0})), {}, RadianceSh(3)});
+    handle_ = test::add_lit(*compositor_, object_, RadianceSh(3));
+    over_ball(drawn(), [&](const dvec3& n, const dvec3& v, const Rgb& c) {
+      if (glm::dot(n, v) < .7) return;
+      EXPECT_NEAR(c.r, .5, .02) << near;
+      EXPECT_NEAR(c.g, .25, .02) << near;
+    });
+  }
+}
+
 TEST_F(GlossyBall, WhatGlowsIsSeenInTheDark) {
   Surroundings dark{reflections_of(even_map({0, 0, 0})), {}, RadianceSh(3), 2};
   add({.emission = {.5f, .25f, 0}}, RadianceSh(3), dark);

@@ -172,6 +172,20 @@ class Faults(OwnDaemons):
         self.assertLess(threads, 400)
         self.assertEqual(daemon.end(signal.SIGTERM), 0, daemon.said())
 
+    def test_a_stop_does_not_wait_for_the_studio(self):
+        rig = self.root / "large.toml"
+        rig.write_text(self.rig.read_text().replace("width = 128\nheight = 96", "width = 3840\nheight = 2160"))
+        process = subprocess.Popen([program(), "--config", str(rig)], env=self.environment, text=True,
+                                   stderr=subprocess.PIPE)
+        self.addCleanup(process.kill)
+        while not (self.root / "http.sock").exists() and process.poll() is None:
+            time.sleep(.01)
+        time.sleep(.2)  # its room takes seconds
+        process.send_signal(signal.SIGTERM)
+        said = process.communicate(timeout=60 * PATIENCE)[1]
+        self.assertEqual(process.returncode, 0, said)
+        self.assertIn("stopped while its scene was prepared", said)
+
     def test_it_goes_on_after_having_been_stopped(self):
         daemon = self.started()
         daemon.process.send_signal(signal.SIGSTOP)
@@ -364,7 +378,7 @@ class Soak(OwnDaemons):
                 self.assertEqual(daemon.ask(path)[0], 200, path)
             now = self.irradiance(daemon)
             drift = max(drift, max(abs(a - b) / b for a, b in zip(now, light)))
-            if first is None and frames > self.FRAMES / 4:
+            if first is None and frames > self.FRAMES / 2:  # by then all of it has been used
                 first = self.settled_counts(daemon)
             time.sleep(.2)
         self.assertIsNotNone(first, "too few frames to look at")

@@ -89,6 +89,13 @@ Result<std::vector<CheckedTime>> report_times(const HdrMergeOptions& o,
       log_warning("{}: {}, but {:.4g} by the given times", images[c.picture], by_overlap,
                   c.labelled_ratio);
   }
+  for (std::size_t k = 0; k < images.size(); ++k)
+    if (images.size() > 1 && std::ranges::none_of(checked, [&](const CheckedTime& c) {
+          return c.picture == k || c.against == k;
+        }))
+      log_info(
+          "{}: no other picture exposes well what it does: nothing tells whether its time is right",
+          images[k]);
   return checked;
 }
 
