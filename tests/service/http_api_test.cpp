@@ -701,6 +701,7 @@ TEST(PublishedState, FramesThatComeSlowlyAreSaid) {
   PublishedState::Snapshot s = state.snapshot();
   EXPECT_EQ(s.status(1), "ok") << "just begun";
   s.uptime_s = 60;
+  s.frame_rate_hz = 100;  // of one frame in less than a millisecond it would be any
   EXPECT_EQ(s.status(1), "slow");
   s.frame_rate_hz = 900;
   EXPECT_EQ(s.status(1), "ok");
