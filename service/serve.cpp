@@ -412,9 +412,9 @@ Result<void> Service::run() {
     headset_ = std::move(headset);
   }
   // A studio takes seconds to render its room, and a stop does not wait for it.
+  auto head = follows_head ? std::make_unique<HeadPoses>(headset_) : nullptr;
   auto opening = std::async(std::launch::async, [&] {
-    return open_rig(config_, progress_, PlayedTimes::kOfNow,
-                    follows_head ? std::make_unique<HeadPoses>(headset_) : nullptr);
+    return open_rig(config_, progress_, PlayedTimes::kOfNow, std::move(head));
   });
   while (opening.wait_for(std::chrono::milliseconds(50)) != std::future_status::ready)
     if (stop) end_at_once(std::nullopt);

@@ -59,7 +59,7 @@ Brightness BrightnessMeter::measure(const FramePixels& pixels) {
   return out;
 }
 
-ExposureLabels::ExposureLabels(std::optional<int> delay) : delay_(delay) {
+ExposureLabels::ExposureLabels(std::optional<int> delay) : reported_(delay == 0), delay_(delay) {
   requests_.reserve(kRemembered + kMaxDelay + 1);
   seen_.reserve(kRemembered + 1);
 }
@@ -100,16 +100,17 @@ double ExposureLabels::disagreement(int delay) const {
 // whole turns of it.
 void ExposureLabels::find_delay() {
   constexpr double kTie = .03;
+  const int shortest = reported_ ? 0 : 1;
   double smallest = 2;
   std::array<double, kMaxDelay + 1> scores{};
-  for (int delay = 1; delay <= kMaxDelay; ++delay)
+  for (int delay = shortest; delay <= kMaxDelay; ++delay)
     smallest = std::min(smallest, scores[static_cast<std::size_t>(delay)] = disagreement(delay));
   suspicion_ = 0;
   ignores_controls_ = smallest > kLabelAgrees;
   if (ignores_controls_) return;
   const auto ties = [&](double score) { return score < smallest + kTie; };
-  const int best =
-      static_cast<int>(std::find_if(scores.begin() + 1, scores.end(), ties) - scores.begin());
+  const int best = static_cast<int>(std::find_if(scores.begin() + shortest, scores.end(), ties) -
+                                    scores.begin());
   if (delay_ == best) return;
   delay_ = best;
   refused_in_a_row_ = 0;

@@ -34,7 +34,8 @@ class ExposureLabels {
  public:
   /// No camera shows a request later, frames.
   static constexpr int kMaxDelay = 10;
-  /// `delay`: frames between a request and the first frame that shows it; nothing: measured first.
+  /// `delay`: frames between a request and the first frame that shows it; nothing: measured first;
+  /// 0: frames tell their own.
   explicit ExposureLabels(std::optional<int> delay);
 
   void requested(std::uint64_t after_frame, Exposure exposure);
@@ -69,6 +70,7 @@ class ExposureLabels {
   void begin_with_history();
   Label accept(const Exposure& exposure, TimestampNs time, const Brightness& seen, double offset);
 
+  bool reported_;  // by the frames themselves, so that none may be late
   std::optional<int> delay_;
   // Newest last; a frame that is judged allocates nothing.
   std::vector<Request> requests_;

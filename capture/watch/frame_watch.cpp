@@ -16,7 +16,6 @@ bool same_kind(const FramePixels& a, const FramePixels& b) {
 }  // namespace
 
 std::optional<Exposure> FrameWatch::exposure_of(const Frame& frame) {
-  constexpr double kSame = .25;  // natural logarithm: less is flicker
   const std::uint64_t number = labelled_++;
   labels_.requested(number, frame.exposure);
   const auto label = labels_.judge(number, frame.time, brightness_.measure(*frame.pixels));
@@ -28,9 +27,8 @@ std::optional<Exposure> FrameWatch::exposure_of(const Frame& frame) {
           name_, frame.sequence, frame.exposure.time.count());
     return std::nullopt;
   }
-  const bool own = label.verdict != ExposureLabels::Verdict::kGood ||
-                   std::abs(std::log(label.exposure.product() / frame.exposure.product())) < kSame;
-  if (own) return frame.exposure;
+  if (label.verdict != ExposureLabels::Verdict::kGood || labels_.delay() == 0)
+    return frame.exposure;
   if (!std::exchange(said_delay_, true))
     log_warning("{}: its frames show the exposures of other frames, as those {} before them", name_,
                 labels_.delay().value_or(0));

@@ -235,7 +235,8 @@ void LightEstimationStage::fix_rows(int rows) {
 Result<void> LightEstimationStage::assemble(const capture::Frame& frame) {
   ++frames_;
   settled_ = false;
-  if (last_) gap_ = std::max(gap_, frame.time - *last_);
+  // A pause of the camera is no gap of its bracket.
+  if (last_) gap_ = std::min(Seconds(1), std::max(gap_, frame.time - *last_));
   last_ = frame.time;
   PENUMBRA_TRY(follow(frame));
   Result<void> failed;
@@ -252,7 +253,8 @@ Result<void> LightEstimationStage::assemble(const capture::Frame& frame) {
   Environment& environment = whole();
   // What the first exposures saturate a shorter one may still resolve: nothing is read off a floor
   // for it, and nothing is promised.
-  const auto owes = [&](const RegionView& v) { return v.fresh && !is_complete(v); };
+  const bool waits = frames_ < kPatience * cameras_.size();
+  const auto owes = [&](const RegionView& v) { return waits && v.fresh && !is_complete(v); };
   awaits_shorter_ = std::ranges::any_of(views_, owes) && !environment.clipped.empty();
   awaited_.clear();
   if (awaits_shorter_) awaited_.swap(environment.clipped);
@@ -268,13 +270,19 @@ Result<void> LightEstimationStage::process(const capture::Frame& frame,
 Result<void> LightEstimationStage::settle(TimestampNs now, lighting::LightEstimate& out) {
   constexpr double kGaps = 3;
   constexpr Seconds kOfOneFrame(.5);
-  if (!last_ || settled_ || ready()) return {};
+  const bool complete =
+      std::ranges::all_of(views_, [&](const RegionView& v) { return is_complete(v) || !v.fresh; });
+  if (!last_ || complete) return {};
   if (now - *last_ < (gap_ > Seconds(0) ? kGaps * gap_ : kOfOneFrame)) return {};
   settled_ = true;
-  const bool anew = std::exchange(awaits_shorter_, false);
-  if (!anew) return {};
+  if (!std::exchange(awaits_shorter_, false)) return {};
   (blend_ ? environment_ : views_[0].map).clipped.swap(awaited_);
-  return estimate(out);
+  return renew(out);
+}
+
+Result<void> LightEstimationStage::renew(lighting::LightEstimate& out) {
+  // None where the last frame showed nothing, of a camera that has moved.
+  return environment().radiance.empty() ? Result<void>{} : estimate(out);
 }
 
 Result<void> LightEstimationStage::estimate(lighting::LightEstimate& out) {

@@ -58,8 +58,8 @@ class LightEstimationStage {
   /// out: as it was where nothing changes
   Result<void> settle(TimestampNs now, lighting::LightEstimate& out);
   /// The light of environment() once more, with recoveries that came since.
-  /// in: after process()
-  Result<void> renew(lighting::LightEstimate& out) { return estimate(out); }
+  /// out: as it was where there is no map
+  Result<void> renew(lighting::LightEstimate& out);
   /// As process() without an estimate: into environment() alone.
   Result<void> assemble(const capture::Frame& frame);
   /// Makes all maps of so many rows, whatever the cameras resolve.

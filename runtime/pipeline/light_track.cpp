@@ -66,6 +66,7 @@ class LightTrackSource final : public capture::FrameSource {
 
  private:
   Result<void> measure(const capture::Frame& frame);
+  void keep_map(TimestampNs time);
 
   capture::FrameSource& source_;
   std::unique_ptr<StageTimes> times_;  // the stage's, which nobody reads
@@ -75,6 +76,8 @@ class LightTrackSource final : public capture::FrameSource {
   int halvings_ = 0;
   std::uint64_t maps_ = 0;
   std::optional<capture::Frame> map_;  // comes next
+  std::optional<TimestampNs> last_{};  // frame that was merged
+  bool ended_ = false;
 };
 
 LightTrackSource::LightTrackSource(capture::FrameSource& source, std::unique_ptr<StageTimes> times,
@@ -118,24 +121,37 @@ Result<void> LightTrackSource::measure(const capture::Frame& frame) {
   const auto assembled = stage_.assemble(frame);
   if (!assembled && assembled.error().code == ErrorCode::kUndetermined) return {};
   PENUMBRA_TRY(assembled);
-  if (!stage_.ready()) return {};
+  last_ = frame.time;
+  if (stage_.ready()) keep_map(frame.time);
+  return {};
+}
+
+void LightTrackSource::keep_map(TimestampNs time) {
   Environment map = halvings_ > 0 ? halved(stage_.environment()) : stage_.environment();
   for (int i = 1; i < halvings_; ++i) map = halved(map);
-  map.time = frame.time;
+  map.time = time;
   capture::Frame& out = map_.emplace();
   out.camera = static_cast<int>(cameras_.size()) - 1;
   out.sequence = maps_++;
-  out.time = frame.time;
+  out.time = time;
   out.exposure = {Seconds(1), Gain(1)};
   out.map = std::make_shared<const Environment>(std::move(map));
-  return {};
 }
 
 Result<std::optional<capture::Frame>> LightTrackSource::next() {
   for (;;) {
     if (map_) return std::exchange(map_, std::nullopt);
     PENUMBRA_ASSIGN(frame, source_.next());
-    if (!frame) return frame;
+    if (!frame) {
+      // Of one bracket, whose exposures never came again.
+      if (maps_ == 0 && last_ && !std::exchange(ended_, true)) {
+        lighting::LightEstimate unused;
+        PENUMBRA_TRY(stage_.settle(LightEstimationStage::kNoMore, unused));
+        keep_map(*last_);
+        continue;
+      }
+      return frame;
+    }
     if (!frame->for_light && stage_.takes(frame->camera)) PENUMBRA_TRY(measure(*frame));
     const auto& kept = kept_[static_cast<std::size_t>(frame->camera)];
     if (!kept) continue;

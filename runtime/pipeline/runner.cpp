@@ -319,8 +319,10 @@ void measure(Live& live, LightEstimationStage& light, const LiveChanges& changes
     while (true) {
       auto frame = live.environment.wait(Seconds(.5));
       if (!frame) {
-        if (held && light.settle(LightEstimationStage::kNoMore, *held))
+        if (held && light.settle(LightEstimationStage::kNoMore, *held)) {
+          if (changes.on_light) changes.on_light(light, *held);
           live.light.put(*std::exchange(held, std::nullopt));
+        }
         if (live.environment.closed()) return;
         continue;
       }

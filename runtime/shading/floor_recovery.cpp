@@ -328,7 +328,8 @@ bool FloorRecovery::differs_from_said(const std::vector<lighting::SaturationReco
     if (before == said_.end() || (before->is_guess && !c.is_guess)) return false;
     // What the light has made of it since: shorter exposures leave less of a disc, and of power.
     const auto now = std::ranges::find(light.lights, c.source, &lighting::DistantLight::id);
-    const float was = now == light.lights.end() || c.is_guess
+    const bool refused = now != light.lights.end() && now->is_lower_bound();
+    const float was = now == light.lights.end() || c.is_guess || refused
                           ? luminance(before->power)
                           : luminance(now->radiance) * static_cast<float>(now->solid_angle_sr());
     return std::abs(luminance(c.power) - was) <= kMinChange * was;

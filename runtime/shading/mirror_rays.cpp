@@ -341,9 +341,10 @@ void MirrorRays::trace_row(const MirroredByObject& o, const ViewOfObjects& seen,
       if (!first.any()) continue;
       send_first(o, seen, x, k, first, lanes, out);
       LaterSamples later{{}, o.samples};
-      // In another order than the first ones.
+      // In another order than the first ones: 11 divides no number of samples but its multiples.
+      const int stride = o.samples % 11 == 0 ? 7 : 11;
       if (o.pass && o.samples > 1)
-        later.place = square_point((7 * k + 5) % o.samples, o.samples, *o.pass);
+        later.place = square_point((stride * k + 5) % o.samples, o.samples, *o.pass);
       follow(later, seen, lanes, out);
     }
   std::erase_if(out.samples, [&](const MirrorSample& s) {

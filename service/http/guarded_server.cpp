@@ -6,11 +6,13 @@
 
 #include <algorithm>
 #include <array>
+#include <cerrno>
 #include <chrono>
 #include <cstdlib>
 #include <cstring>
 #include <exception>
 #include <string>
+#include <utility>
 
 #include "core/io/log.h"
 
@@ -23,6 +25,7 @@ using Clock = std::chrono::steady_clock;
 class GuardedServer::Client final : public httplib::Stream {
  public:
   static constexpr auto kPatience = 5s, kShortPatience = 1s;  // the latter where clients are many
+  static constexpr auto kAtAStop = 200ms;
 
   Client(socket_t socket, const GuardedServer& server) : socket_(socket), server_(server) {}
 
@@ -53,7 +56,11 @@ class GuardedServer::Client final : public httplib::Stream {
     return static_cast<ssize_t>(n);
   }
   ssize_t write(const char* from, std::size_t size) override {
-    return is_writable() ? ::send(socket_, from, size, MSG_NOSIGNAL) : -1;
+    while (is_writable()) {
+      const ssize_t n = ::send(socket_, from, size, MSG_NOSIGNAL | MSG_DONTWAIT);
+      if (n >= 0 || (errno != EAGAIN && errno != EINTR)) return n;
+    }
+    return -1;
   }
   void get_remote_ip_and_port(std::string&, int&) const override {}
   void get_local_ip_and_port(std::string&, int&) const override {}
@@ -81,12 +88,14 @@ class GuardedServer::Client final : public httplib::Stream {
   bool wait(short events, Clock::time_point until) const {
     constexpr auto kSlice = 50ms;
     do {
-      if (server_.stopping_) return false;
       if (ready(events, kSlice)) return true;
+      if (server_.stopping_) return false;
     } while (Clock::now() < until);
     return false;
   }
   bool fill() {
+    if (server_.stopping_ && !std::exchange(ends_, true))
+      deadline_ = std::min(deadline_, Clock::now() + kAtAStop);
     if (Clock::now() > deadline_ || !wait(POLLIN, deadline_)) return false;
     const ssize_t n = ::recv(socket_, buffer_.data(), buffer_.size(), 0);
     next_ = 0, filled_ = n > 0 ? static_cast<std::size_t>(n) : 0;
@@ -99,6 +108,7 @@ class GuardedServer::Client final : public httplib::Stream {
   std::size_t next_ = 0, filled_ = 0;  // in the buffer
   std::size_t request_bytes_ = 0, body_ends_ = 0;
   Clock::time_point deadline_;
+  bool ends_ = false;
 };
 
 void GuardedServer::widen_queue() const {

@@ -389,12 +389,12 @@ void SceneControl::follow_file(const runtime::Scene& last, const runtime::Scene&
 Result<void> SceneControl::remove(const std::string& object) {
   const std::scoped_lock lock(mutex_);
   if (!keeper_) return starting();
-  const bool shown = find(object).has_value();
+  const bool shown = find(object).has_value(), was_told = keeper_->forget_fault(object);
   if (shown) PENUMBRA_TRY(pipeline_->show_object(object, false));
   if (std::erase_if(scene_.objects, [&](const auto& o) { return o.name == object; }) > 0) {
     if (added_.erase(object) == 0) taken_away_.insert(object);
     keeper_->want(scene_);
-  } else if (!shown && !keeper_->forget_fault(object)) {
+  } else if (!shown && !was_told) {
     return fail(ErrorCode::kNotFound, fmt::format("object \"{}\"", object), "is not in the scene");
   }
   return {};

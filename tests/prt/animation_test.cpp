@@ -253,6 +253,18 @@ TEST(CharacterImport, WhatIsDamagedIsToldInOneLine) {
   EXPECT_THAT(
       told(moved_by_a_clip(one_triangle(), node, kOfPositions, R"(,"skins":[{"joints":[7]}])")),
       testing::HasSubstr("a joint that is not there"));
+  // Assimp would read a value for each time.
+  test::GltfBuffer few = one_triangle();
+  few.floats({0, .25f, .5f, .75f, 1}, "SCALAR", 5, R"(,"min":[0],"max":[1])");
+  few.floats({0, 0, 0}, "VEC3", 1);
+  const test::TempFolder folder;
+  few.write(folder.path() / "few.gltf",
+            fmt::format(R"("scenes":[{{"nodes":[0]}}],"nodes":[{{"mesh":0}}],"meshes":[{}],
+    "animations":[{{"channels":[{{"sampler":0,"target":{{"node":0,"path":"translation"}}}}],
+                    "samplers":[{{"input":1,"output":2}}]}}])",
+                        kOfPositions));
+  EXPECT_THAT(told(import_character(folder.path() / "few.gltf", kGrey)),
+              testing::HasSubstr("fewer values than times"));
   std::string chain = R"({"children":[1]})";
   for (int i = 1; i < 2000; ++i) chain += fmt::format(R"(,{{"children":[{}]}})", i + 1);
   EXPECT_THAT(told(moved_by_a_clip(one_triangle(), chain + "," + node, kOfPositions)),

@@ -169,18 +169,22 @@ TEST(GuardedServer, SlowClientsHoldNobodyUp) {
 
 // It would not stop, as long as the client sends a byte in time.
 TEST(GuardedServer, StopsBesideAClientThatDrips) {
-  std::atomic<bool> ends = false;
+  std::atomic<bool> hung_up = false;
   std::jthread drip;
+  const auto begun = std::chrono::steady_clock::now();
   {
     ListeningServer<GuardedServer> running;
     drip = std::jthread([&, client = std::make_shared<RawConnection>(running.port)] {
-      for (int i = 0; i < 600 && !ends && client->send("x"); ++i)
+      for (int i = 0; i < 600 && client->send("x"); ++i)
         std::this_thread::sleep_for(std::chrono::milliseconds(100));
+      hung_up = true;
     });
     std::this_thread::sleep_for(std::chrono::milliseconds(300));
   }
-  EXPECT_FALSE(ends);
-  ends = true;
+  drip.join();
+  EXPECT_TRUE(hung_up);
+  // The client goes on for a minute, and is hung up on long before.
+  EXPECT_LT(std::chrono::steady_clock::now() - begun, std::chrono::seconds(30));
 }
 
 }  // namespace

@@ -78,7 +78,7 @@ Result<void> hdr_environment(const HdrEnvironmentOptions& o) {
                   runtime::LightEstimationStage::create(source->cameras(), {.bands = 3}, times));
   PENUMBRA_ASSIGN(seen, replay(*source, stage, o.capture, o.at_s));
   const Environment& map = seen.map;
-  const bool tells_clipped = !o.output.ends_with(".hdr");
+  const bool tells_clipped = lower_extension(o.output) != ".hdr";
   if (!tells_clipped && !map.clipped.empty())
     log_warning("{}: its brightest light is a lower bound, which only .exr can say", o.output);
   PENUMBRA_TRY(codec::write_hdr(o.output, map.radiance, codec::Depth::kFloat, {}, seen_pixels(map),

@@ -33,6 +33,11 @@ std::string base64(std::span<const unsigned char> bytes) {
   return out;
 }
 
+struct AccessorShape {
+  std::size_t count = 0, components = 0;
+  bool finite = true;
+};
+
 // A file in the form that Assimp reads: packed views unpacked, small numbers as floats, instances
 // as nodes, matrices that a skin may leave out.
 class ClipFile {
@@ -75,6 +80,49 @@ class ClipFile {
     return {};
   }
 
+  // Elements and components, each accessor read once.
+  Result<AccessorShape> shape_of(const Json& sampler, const char* key, const std::string& whose) {
+    PENUMBRA_ASSIGN(index, document_.reference(sampler, key, "accessors", whose));
+    if (!index) return document_.invalid(whose + " has a sampler without values");
+    const auto known = shapes_.find(*index);
+    if (known != shapes_.end()) return known->second;
+    const std::size_t any[] = {1, 3, 4};
+    PENUMBRA_ASSIGN(values, read_numbers(document_, *index, any, whose));
+    const bool finite =
+        std::ranges::all_of(values.values, [](float v) { return std::isfinite(v); });
+    return shapes_[*index] = {values.size(), values.components, finite};
+  }
+
+  // Assimp reads as many values as there are times.
+  Result<void> check_sampler(const Json& sampler, const std::string& whose) {
+    PENUMBRA_ASSIGN(times, shape_of(sampler, "input", whose));
+    PENUMBRA_ASSIGN(values, shape_of(sampler, "output", whose));
+    if (times.components != 1 || !times.finite)
+      return document_.invalid(whose + " has times that are not finite");
+    const Json* how = member(sampler, "interpolation");
+    const std::size_t each = how && *how == "CUBICSPLINE" ? 3 : 1;
+    if (values.count < each * times.count)
+      return document_.invalid(whose + " has fewer values than times");
+    return {};
+  }
+
+  Result<void> check_channel(const Json& channel, const Json& sampler, const std::string& whose) {
+    const Json* target = member(channel, "target");
+    const Json* path = target ? member(*target, "path") : nullptr;
+    if (!target || !path || !path->is_string())
+      return document_.invalid(whose + " has a channel without a path");
+    PENUMBRA_TRY(document_.reference(*target, "node", "nodes", whose));
+    PENUMBRA_ASSIGN(values, shape_of(sampler, "output", whose));
+    const std::size_t wanted = *path == "rotation"                          ? 4
+                               : *path == "translation" || *path == "scale" ? 3
+                               : *path == "weights"                         ? 1
+                                                                            : values.components;
+    if (values.components != wanted)
+      return document_.invalid(fmt::format("{} has values of {} numbers for a {}", whose,
+                                           values.components, path->get<std::string>()));
+    return {};
+  }
+
   Result<void> check_animations() {
     for (std::size_t a = 0; a < document_.count("animations"); ++a) {
       const Json& clip = document_.at("animations", a);
@@ -82,20 +130,12 @@ class ClipFile {
       const Json *samplers = member(clip, "samplers"), *channels = member(clip, "channels");
       if (!samplers || !samplers->is_array() || !channels || !channels->is_array())
         return document_.invalid(whose + " has no channels or no samplers");
-      for (const Json& sampler : *samplers) {
-        PENUMBRA_ASSIGN(input, document_.reference(sampler, "input", "accessors", whose));
-        PENUMBRA_ASSIGN(output, document_.reference(sampler, "output", "accessors", whose));
-        if (!input || !output) return document_.invalid(whose + " has a sampler without values");
-        const std::size_t one[] = {1}, any[] = {1, 3, 4};
-        PENUMBRA_ASSIGN(times, read_numbers(document_, *input, one, whose));
-        PENUMBRA_TRY(read_numbers(document_, *output, any, whose));
-        if (!std::ranges::all_of(times.values, [](float t) { return std::isfinite(t); }))
-          return document_.invalid(whose + " has times that are not finite");
-      }
+      for (const Json& sampler : *samplers) PENUMBRA_TRY(check_sampler(sampler, whose));
       for (const Json& channel : *channels) {
         const auto sampler = whole(channel, "sampler", samplers->size());
         if (!sampler || *sampler >= samplers->size())
           return document_.invalid(whose + " has a channel without a sampler of its own");
+        PENUMBRA_TRY(check_channel(channel, (*samplers)[*sampler], whose));
       }
     }
     return {};
@@ -204,10 +244,13 @@ class ClipFile {
   }
 
   Result<void> spread_instances() {
+    std::size_t placed = 0;  // below the limit as long as the loop goes on
     for (std::size_t i = 0; i < document_.count("nodes"); ++i) {
       const Json& node = document_.at("nodes", i);
       if (!extension(node, "EXT_mesh_gpu_instancing") || !member(node, "mesh")) continue;
       PENUMBRA_ASSIGN(places, instance_matrices(document_, node, called("node", i, node)));
+      if (places.size() > kMaxPlaced - std::exchange(placed, placed + places.size()))
+        return document_.invalid(fmt::format("places more than {} meshes", kMaxPlaced));
       const Json mesh = node.at("mesh");
       Json children = json_["nodes"][i].value("children", Json::array());
       for (const glm::dmat4& place : places) {
@@ -239,7 +282,8 @@ class ClipFile {
   Document& document_;
   Json json_;
   std::vector<unsigned char> more_;
-  std::map<std::size_t, std::size_t> widened_;  // accessors, by those of the file
+  std::map<std::size_t, std::size_t> widened_;   // accessors, by those of the file
+  std::map<std::size_t, AccessorShape> shapes_;  // likewise
 };
 
 void put_word(std::vector<unsigned char>& out, std::size_t word) {
