@@ -599,6 +599,13 @@ void Glossy::draw_sorted(const GlossyObject& o, const UseProgram& use, const Pla
     }
   }
   std::ranges::stable_sort(farthest_, std::greater(), &SortedTriangle::distance2);
+  // Each change of material is a draw of its own: where there are too many, one material after the
+  // other.
+  constexpr int kMaxChanges = 256;
+  int changes = 0;
+  for (std::size_t i = 1; i < farthest_.size(); ++i)
+    changes += farthest_[i].part != farthest_[i - 1].part;
+  if (changes > kMaxChanges) std::ranges::stable_sort(farthest_, {}, &SortedTriangle::part);
   order_.clear();
   for (const SortedTriangle& s : farthest_) order_.push_back(s.corners);
   glBindBuffer(GL_ELEMENT_ARRAY_BUFFER, o.sorted.get());
@@ -617,12 +624,15 @@ void Glossy::draw_sorted(const GlossyObject& o, const UseProgram& use, const Pla
 
 void Glossy::draw(const GlossyObject& o, const UseProgram& use, const Placed& placed,
                   bool blended) {
-  if (blended) draw_sorted(o, use, placed);
-  for (const GlossyObject::Part& part : placed.parts) {
-    if (blended || o.is_blended(part)) continue;
-    begin_part(o, part, use, placed);
+  if (blended) {
+    draw_sorted(o, use, placed);
+  } else {
     glBindBuffer(GL_ELEMENT_ARRAY_BUFFER, placed.indices);
-    draw_indices(static_cast<std::size_t>(part.first), static_cast<std::size_t>(part.count));
+    for (const GlossyObject::Part& part : placed.parts) {
+      if (o.is_blended(part)) continue;
+      begin_part(o, part, use, placed);
+      draw_indices(static_cast<std::size_t>(part.first), static_cast<std::size_t>(part.count));
+    }
   }
   glDisable(GL_CULL_FACE);
   for (int unit = 0; unit < kMaps; ++unit) glBindSampler(static_cast<GLuint>(kFirstUnit + unit), 0);

@@ -265,6 +265,7 @@ struct HttpApi::Impl {
       } else if (r.status == 404) {
         reply(r, {{"error", fmt::format("nothing at {}", shown)}}, 404);
       } else {
+        r.set_header("Connection", "close");  // what is left of the request is not read
         reply(
             r,
             {{"error", r.status == 413   ? "the request is too large"

@@ -66,8 +66,7 @@ Result<void> light_estimate(const LightEstimateOptions& o) {
     const Rgb e = d.irradiance();
     fmt::print(
         "  light towards {:+.3f} {:+.3f} {:+.3f}, radius {:.2f} degrees, irradiance {}{:.4g} "
-        "{:.4g} "
-        "{:.4g}\n",
+        "{:.4g} {:.4g}\n",
         d.direction.x, d.direction.y, d.direction.z, d.radius.value() * 180 / kPi,
         d.is_lower_bound() ? "at least " : "", e.r, e.g, e.b);
   }
