@@ -9,6 +9,7 @@
 #include <numeric>
 #include <optional>
 
+#include "calib/estimate/internal/noise_correlation.h"
 #include "core/image.h"
 #include "core/io/toml_keys.h"
 #include "core/median.h"
@@ -105,6 +106,22 @@ double largest_variance(std::vector<PixelNoise>& samples, double freedom) {
   const double spread = 2 / (9 * freedom);
   const double scale = quarter->variance / std::pow(1 - spread + kQuarter * std::sqrt(spread), 3);
   return scale * (1 + 5 * std::sqrt(2 / freedom));
+}
+
+// The largest of all series.
+void add_correlation(std::span<const StillSeries> still, const Response& response,
+                     NoiseCalibration& out) {
+  const auto raise = [](double& largest, double value) {
+    if (std::abs(value) > std::abs(largest)) largest = value;
+  };
+  for (const StillSeries& s : still) {
+    if (s.frames() < kFewestFrames) continue;
+    const Curve green(response, s.bits(), 1);
+    const auto found =
+        noise_correlation(s, response, brightness_of_frames(s, green, out.black_level));
+    raise(out.neighbour_correlation, found.neighbours);
+    raise(out.frame_correlation, found.frames);
+  }
 }
 
 // Means by half stops of brightness, without samples that something moved over.
@@ -278,10 +295,12 @@ Result<void> StillSeries::add(const FramePixels& frame, const std::string& name)
     const auto area = static_cast<double>(image.area());
     const int apart = std::max(1, static_cast<int>(std::ceil(std::sqrt(area / kEnough))));
     auto& codes = codes_.emplace_back();
+    auto& beside = beside_.emplace_back();
     for (int y = apart / 2; y < image.height(); y += apart)
       for (int x = apart / 2; x < image.width(); x += apart) {
         const auto& p = image.at(x, y);
         codes.insert(codes.end(), {p.r, p.g, p.b});
+        beside.push_back(image.at(x + 1 < image.width() ? x + 1 : std::max(x - 1, 0), y).g);
       }
     return {};
   };
@@ -337,6 +356,7 @@ Result<NoiseCalibration> calibrate_noise(std::span<const StillSeries> still,
   const double sigma_b = std::sqrt(fit->var_b);
   out.read_sigma = fit->b > sigma_b ? sigma_b / (2 * out.model.read_noise) : std::sqrt(sigma_b);
   out.error = fit->error;
+  add_correlation(still, response, out);
   return out;
 }
 

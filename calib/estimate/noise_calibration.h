@@ -33,11 +33,13 @@ class StillSeries {
   int bits() const { return bits_; }
   /// Of one frame: r, g, b of each pixel in turn.
   const std::vector<std::vector<std::uint16_t>>& codes() const { return codes_; }
+  /// Likewise, green of the pixel beside each.
+  const std::vector<std::vector<std::uint16_t>>& beside() const { return beside_; }
 
  private:
   double gain_, time_;
   int bits_ = 0, width_ = 0, height_ = 0;
-  std::vector<std::vector<std::uint16_t>> codes_;
+  std::vector<std::vector<std::uint16_t>> codes_, beside_;
 };
 
 /// Mean of many samples of about one brightness.
@@ -53,12 +55,16 @@ struct NoiseCalibration {
   double black_level = 0;                      // of full scale
   bool black_measured = false;  // by the capped lens or by two exposures; else as it was given
   double error = 0;             // of the model's standard deviation, RMS over the points, relative
+  // Of neighbouring pixels' noise, and of one pixel's from frame to frame, -1 to 1; a sensor's is 0.
+  double neighbour_correlation = 0, frame_correlation = 0;
   std::vector<NoisePoint> points;
 };
 
 /// Beyond, the frames do not have the noise of a sensor: the camera smoothed or sharpened them.
-/// What smooths bright and dark alike stays unseen.
 inline constexpr double kMaxNoiseModelError = .12;
+/// Beyond, the full well is that of pictures that were smoothed, sharpened, compressed or made of
+/// a mosaic, and not of the sensor.
+inline constexpr double kMaxNoiseCorrelation = .1;
 
 /// From series of a still scene, best with everything from dark to bright, and of the capped lens
 /// if there are any: those tell the black level. Without them two exposures of a factor of two

@@ -112,6 +112,52 @@ TEST(NoiseCalibration, FramesWithoutTheirNoiseAreFarOffTheModel) {
   EXPECT_GT(found->error, kMaxNoiseModelError);
 }
 
+// The mean of 3 x 3 pixels, or of a frame and those before it.
+StillSeries smoothed_alike(const capture::Sensor& raw, bool in_time) {
+  StillSeries out(1, 1);
+  Image<Rgb> before(160, 96);
+  for (int n = 0; n < 32; ++n) {
+    const auto frame = test::shot(raw, scene(), {Seconds(1), Gain(1)}, 4000 + n);
+    const Image<Rgb16>& codes = std::get<Image<Rgb16>>(*frame);
+    Image<Rgb16> smooth(160, 96);
+    for (int y = 0; y < 96; ++y)
+      for (int x = 0; x < 160; ++x)
+        for (const auto& [channel, kept] :
+             {std::pair(&Rgb16::r, &Rgb::r), {&Rgb16::g, &Rgb::g}, {&Rgb16::b, &Rgb::b}}) {
+          float sum = 0;
+          for (int k = 0; k < 9; ++k)
+            sum += codes.at(std::clamp(x + k % 3 - 1, 0, 159), std::clamp(y + k / 3 - 1, 0, 95)).*
+                   channel;
+          float& last = before.at(x, y).*kept;
+          last = n == 0 ? codes.at(x, y).*channel : .6f * last + .4f * codes.at(x, y).*channel;
+          smooth.at(x, y).*channel =
+              static_cast<std::uint16_t>(std::lround(in_time ? last : sum / 9));
+        }
+    EXPECT_TRUE(out.add(FramePixels(std::move(smooth)), "frame"));
+  }
+  return out;
+}
+
+// It follows the model, with a full well that is too large: what tells it is that the noise of
+// neighbours, or of successive frames, is no longer independent.
+TEST(NoiseCalibration, SmoothingOfBrightAndDarkAlikeIsToldByItsCorrelation) {
+  const auto raw = sensor(16, Response::linear(), {8000, 2e-3}, 0);
+  const std::vector<StillSeries> still = {film(raw, scene(), 32, 1, 1, .05)};
+  const auto white = calibrate_noise(still, {}, raw.response, 0);
+  ASSERT_TRUE(white) << white.error().detail;
+  EXPECT_NEAR(white->neighbour_correlation, 0, .02);
+  EXPECT_NEAR(white->frame_correlation, 0, .02);
+  for (const bool in_time : {false, true}) {
+    const StillSeries series = smoothed_alike(raw, in_time);
+    const auto found = calibrate_noise({&series, 1}, {}, raw.response, 0);
+    ASSERT_TRUE(found) << found.error().detail;
+    EXPECT_GT(found->model.full_well_electrons, 2 * 8000) << "the test shows nothing";
+    EXPECT_LT(found->error, kMaxNoiseModelError) << "the model tells it";
+    EXPECT_GT(in_time ? found->frame_correlation : found->neighbour_correlation, .4);
+    EXPECT_NEAR(in_time ? found->neighbour_correlation : found->frame_correlation, 0, .05);
+  }
+}
+
 TEST(NoiseCalibration, LampsThatFlickerAreNoNoiseOfTheCamera) {
   const auto raw = sensor(16, Response::linear(), {8000, 2e-3}, 0);
   const std::vector<StillSeries> still = {film(raw, scene(), 24, 1, 1, .05)};

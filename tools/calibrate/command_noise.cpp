@@ -67,6 +67,8 @@ nlohmann::json to_json(const calib::NoiseCalibration& c) {
           {"black_level", c.black_level},
           {"black_measured", c.black_measured},
           {"error", c.error},
+          {"neighbour_correlation", c.neighbour_correlation},
+          {"frame_correlation", c.frame_correlation},
           {"points", c.points.size()}};
 }
 
@@ -82,6 +84,14 @@ Result<void> check_model(const CalibrateNoiseOptions& o, const calib::NoiseCalib
   if (c.error > kWorthAWord)
     log_warning("{}: the noise is {:.0f} % off the model: does the camera reduce noise?", o.camera,
                 100 * c.error);
+  const bool alike = std::abs(c.neighbour_correlation) > calib::kMaxNoiseCorrelation,
+             lasting = std::abs(c.frame_correlation) > calib::kMaxNoiseCorrelation;
+  if (alike || lasting)
+    log_warning(
+        "{}: the noise of {} is correlated ({:.2f}), which a sensor's is not: the full well is "
+        "that of pictures as the camera smooths, sharpens or compresses them",
+        o.camera, alike ? "neighbouring pixels" : "successive frames",
+        alike ? c.neighbour_correlation : c.frame_correlation);
   if (!c.black_measured)
     log_warning(
         "{}: nothing tells the black level, and {:.5f} of full scale is taken for it: record the "
