@@ -55,7 +55,7 @@ struct NoiseCalibration {
   double black_level = 0;                      // of full scale
   bool black_measured = false;  // by the capped lens or by two exposures; else as it was given
   double error = 0;             // of the model's standard deviation, RMS over the points, relative
-  // Of neighbouring pixels' noise, and of one pixel's from frame to frame, -1 to 1; a sensor's is 0.
+  // Of neighbouring pixels' noise, and of one pixel's from frame to frame; a sensor's is 0.
   double neighbour_correlation = 0, frame_correlation = 0;
   std::vector<NoisePoint> points;
 };
