@@ -31,6 +31,7 @@
 #include "tools/common/print.h"
 #include "tools/penumbra/commands.h"
 #include "tools/penumbra/inspect_mesh.h"
+#include "tools/penumbra/inspect_report.h"
 #include "tools/penumbra/memory_report.h"
 
 namespace penumbra::tools {
@@ -364,6 +365,9 @@ Result<json> describe(const std::string& file) {
   }
   if (is_one_of({".gltf", ".glb", ".obj", ".ply", ".stl", ".fbx", ".dae"}))
     return inspect_mesh(file);
+  if (extension == ".csv") return inspect_table(file);
+  if (extension == ".svg") return inspect_plot(file);
+  if (extension == ".pdf") return inspect_page(file);
   auto picture = inspect_picture(file);  // whatever its name
   const bool named_so =
       is_one_of({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".exr", ".hdr", ".jph", ".jp2"});
@@ -371,7 +375,7 @@ Result<json> describe(const std::string& file) {
   return fail(ErrorCode::kUnreadable, file,
               "is nothing that inspect understands: a picture (PNG, JPEG, TIFF, OpenEXR, Radiance "
               "HDR), a mesh (glTF, OBJ, PLY, STL, FBX, COLLADA), a baked object or clip, a "
-              "recording, a capture folder, or a TOML file");
+              "recording, a capture folder, a TOML file, or a table, plot or board of calibrate");
 }
 
 std::string text_of(const json& value) {
@@ -419,8 +423,8 @@ void add_inspect(CLI::App& parent, Action& action) {
       "Say what is in a file, a recording or a capture folder, or which cameras are connected");
   c->add_option(
        "file", inspect_options.file,
-       "Picture, mesh, baked object or clip, scene, rig, calibration file, recording or capture "
-       "folder; cameras: list the connected cameras and their modes")
+       "Picture, mesh, baked object or clip, scene, rig, calibration file, table, plot, board, "
+       "recording or capture folder; cameras: list the connected cameras and their modes")
       ->required();
   add_json(c, inspect_options.json);
   c->callback([&] { action = [] { return inspect(inspect_options); }; });
