@@ -85,7 +85,7 @@ TABLES = {
             "capture/recording/recording_reader.cpp: ::read_light_track( > known[]"]},
     "calibration-files.md": {
         "Cameras": [f"{MANIFEST}: read_camera_file( > known[] - version camera + "
-                    "tools/calibrate/command_calibrate.cpp: print_camera_file( > [calibration]"],
+                    "tools/calibrate/command_camera.cpp: print_camera_file( > [calibration]"],
         "Response": ["calib/camera/response.cpp: read_response("],
         "Noise": [f"{CALIBRATION}: parse_noise_file( > known[] - version + "
                   f"{CALIBRATION}: parse_noise_file( > inside[]"],

@@ -1247,6 +1247,28 @@ class Calibrate(CliTest):
         self.expect_refusal(["equal"], "calibrate", "response", *pictures, "--times", "1,1,1", "-o",
                             self.root / "no.toml")
         self.assertFalse((self.root / "no.toml").exists())
+        self.assertIn("would go unnoticed", self.run_program("calibrate", "response", *pictures[:2], "--times",
+                                                             "1/64,1/16", "-o", out).stderr)
+
+    def test_the_one_wrong_time_of_a_bracket_is_named(self):
+        times = [4 ** k / 256 for k in range(5)]
+        pictures = []
+        for k, t in enumerate(times):
+            pictures.append(self.root / f"w{k}.png")
+
+            def codes(x, y, t=t):
+                light = .02 * 3000 ** (x / 95) * (1 + y / 48)
+                return [round(255 * min(1, light * t * g) ** (1 / 2.2)) for g in (.9, 1, 1.1)]
+            files.write_png(pictures[-1], 96, 48, codes)
+        for k in range(1, 4):  # outermost ones bend the curve instead
+            for factor in (1.8, 1 / 1.8):
+                told = ",".join(str(t * (factor if n == k else 1)) for n, t in enumerate(times))
+                said = self.run_program("calibrate", "response", *pictures, "--times", told, "-o",
+                                        self.root / "w.toml").stderr
+                self.assertIn(f"w{k}.png: its time of {times[k] * factor:.4g} s is wrong", said)
+                shown = float(said.split("and tell ")[1].split(" s for it")[0])
+                self.assertAlmostEqual(shown / times[k], 1, delta=.03)
+                self.assertEqual(len(said.splitlines()), 1, said)
 
     def test_response_of_two_clips_is_one_that_the_merge_reads(self):
         draw = random.Random(3)

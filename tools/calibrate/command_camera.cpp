@@ -12,10 +12,8 @@
 #include <vector>
 
 #include "calib/camera/camera_model.h"
-#include "calib/camera/response.h"
 #include "calib/estimate/boards.h"
 #include "calib/estimate/camera_calibration.h"
-#include "calib/estimate/estimate_response.h"
 #include "capture/frames.h"
 #include "codec/codec.h"
 #include "core/io/files.h"
@@ -30,23 +28,11 @@
 #include "tools/common/command.h"
 #include "tools/common/print.h"
 #include "tools/common/progress.h"
-#include "tools/pictures/bracket_files.h"
 #include "tools/pictures/camera_film.h"
 
 namespace penumbra::tools {
 
 namespace {
-
-struct CalibrateResponseOptions {
-  std::vector<std::string> images;
-  std::string times;  // seconds, separated by commas
-  // Instead of both: of a still scene, two exposures at least in all
-  std::vector<std::string> captures;
-  std::string camera;  // in the captures
-  std::string output;
-  std::optional<std::string> report;
-  bool json = false;
-};
 
 struct CalibrateCameraOptions {
   std::vector<std::string> pictures;
@@ -317,89 +303,6 @@ Result<void> calibrate_camera(const CalibrateCameraOptions& o) {
   else
     print_table(result, found);
   return {};
-}
-
-namespace {
-
-// A curve that is made of wrong times fits none of them: what the pictures show under it is held
-// against what was told.
-Result<void> check_times_against(const CalibrateResponseOptions& o, capture::ExposureStack stack,
-                                 const calib::Response& response) {
-  constexpr double kEnough = .05;
-  stack.response = response;
-  const auto name = [&](std::size_t k) {
-    return o.captures.empty() ? o.images[k]
-                              : fmt::format("{:.4g} s", stack.exposures[k].time.count());
-  };
-  PENUMBRA_ASSIGN(checked, check_times(stack, capture::kEstimatedExponentSigma));
-  for (const CheckedTime& c : checked)
-    if (c.contradicts_label(kEnough))
-      log_warning(
-          "{}: {:.4g} times the exposure of {} by the given times, but {:.4g} by what both show "
-          "under this curve (95 % within {:.4g} to {:.4g}): a time is wrong, or the scene changed",
-          name(c.picture), c.labelled_ratio, name(c.against), c.ratio.ratio, c.ratio.low,
-          c.ratio.high);
-  return {};
-}
-
-}  // namespace
-
-Result<void> calibrate_response(const CalibrateResponseOptions& o) {
-  PENUMBRA_TRY(check_writable(o.output));
-  if (o.report) PENUMBRA_TRY(make_folder(*o.report));
-  if (o.captures.empty() && o.images.empty())
-    return fail(ErrorCode::kInvalid, "calibrate response",
-                "needs images, or --capture with --camera");
-  PENUMBRA_ASSIGN(stack, o.captures.empty() ? read_bracket(o.images, o.times)
-                                            : average_clips(o.captures, o.camera));
-  const std::string& first = o.captures.empty() ? o.images[0] : o.captures[0];
-  if (!std::holds_alternative<Image<Rgb8>>(*stack.frames[0]))
-    return fail(ErrorCode::kUndetermined, first,
-                "is not 8-bit, and the response is estimated from 8-bit pictures only");
-  const EightBitBracket bracket = eight_bit_bracket(stack);
-  PENUMBRA_ASSIGN(result, calib::calibrate_response(bracket.pictures, bracket.times));
-  PENUMBRA_TRY(check_times_against(o, stack, result.response));
-  const std::string text =
-      fmt::format("# from {} pictures; one standard deviation, of full scale: {:.5f}\n{}",
-                  stack.frames.size(), result.sigma, calib::print_response_file(result.response));
-  PENUMBRA_TRY(write_bytes(o.output, text));
-  if (o.report) PENUMBRA_TRY(write_response_report(*o.report, result));
-  if (o.json)
-    print_json({{"pictures", stack.frames.size()},
-                {"sigma", result.sigma},
-                {"between_places", result.between_places ? nlohmann::json(*result.between_places)
-                                                         : nlohmann::json()}});
-  else
-    fmt::print("{}: response of {} pictures, uncertain by {:.2f} % of full scale\n", o.output,
-               stack.frames.size(), 100 * result.sigma);
-  return {};
-}
-
-void add_calibrate_response(CLI::App& parent, Action& action) {
-  static CalibrateResponseOptions response;
-  auto* c = parent.add_subcommand(
-      "response",
-      "Find the response curve of an 8-bit camera from a bracket of a still scene that goes from "
-      "dark to bright");
-  auto* images = c->add_option(
-      "images", response.images,
-      "Pictures of the bracket: 8-bit PNG, JPEG or TIFF, from a camera that stands still");
-  c->add_option("--times", response.times,
-                "Exposure time of each picture in seconds, as 1/60,0.1,...; by default what the "
-                "cameras wrote into the JPEGs")
-      ->needs(images)
-      ->check(not_empty);
-  auto* name = c->add_option("--camera", response.camera, "Name of the camera in the captures");
-  c->add_option(
-       "--capture", response.captures,
-       "Recordings or capture folders of one still scene, instead of pictures: at least two "
-       "exposures in all; the frames of each exposure are averaged")
-      ->excludes(images)
-      ->needs(name);
-  c->add_option("-o,--output", response.output, "Response file to write, .toml")->required();
-  c->add_option("--report", response.report, "Folder for a plot and a table of the curves");
-  add_json(c, response.json);
-  c->callback([&] { action = [] { return calibrate_response(response); }; });
 }
 
 void add_calibrate_camera(CLI::App& parent, Action& action) {
