@@ -133,7 +133,7 @@ MENTIONED = {
             "inspect(const")) + f" + {MESH}: json to_json( + {MESH}: json textures_of( + "
                             f"{MESH}: inspect_mesh( - calibration colour",
         "calibrate": " + ".join(f"tools/calibrate/command_{place}" for place in (
-            "calibrate.cpp: json to_json(", 'calibrate.cpp: print_json({{"pictures"',
+            "camera.cpp: json to_json(", 'response.cpp: print_json({{"pictures"',
             "vignetting.cpp: print_json(", "ball.cpp: {{\"centre_m\"", "noise.cpp: json to_json(",
             "rig.cpp: json to_json(", "colour.cpp: print_json(",
             "import.cpp: json to_json(")),

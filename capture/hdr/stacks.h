@@ -3,6 +3,8 @@
 // threads: reentrant
 #pragma once
 
+#include <array>
+#include <cmath>
 #include <cstddef>
 #include <memory>
 #include <optional>
@@ -43,6 +45,17 @@ inline constexpr double kEstimatedExponentSigma = .055;
 Result<ExposureRatio> estimate_exposure_ratio(const Image<Rgb8>& a, const Image<Rgb8>& b,
                                               const ResponseTable& curve,
                                               double exponent_sigma = 0);
+
+/// Where a picture shows what another one shows, pixels to the right and down, by the whole picture.
+struct CameraShift {
+  std::array<double, 2> moved_px;
+  double sigma_px;  // about
+  bool moved() const { return std::hypot(moved_px[0], moved_px[1]) > 1.5 * sigma_px; }
+};
+/// Up to an eighth of the picture. Nothing where they have too little in common, are smooth, or are
+/// smaller than 32 pixels.
+/// source: Lewis 1995 (normalised cross-correlation), of local differences over their spread
+std::optional<CameraShift> find_camera_shift(const Image<Rgb8>& a, const Image<Rgb8>& b);
 
 /// How far the pictures of a hand-held stack lay from the reference, pixels in the mean.
 struct Alignment {

@@ -9,6 +9,7 @@
 #include <cstdio>
 #include <opencv2/calib3d.hpp>
 #include <opencv2/imgproc.hpp>
+#include <random>
 
 #include "codec/codec.h"
 #include "tests/support/brackets.h"
@@ -263,6 +264,55 @@ double ghosts(const Image<Rgb>& merged, const Image<Rgb8>& reference, const Resp
     }
   EXPECT_GT(all, 500);
   return double(off) / all;
+}
+
+// A part of a scene, exposed; what lies at x of one picture lies at x + dx of another.
+Image<Rgb8> seen_from(const Image<Rgb>& scene, int dx, int dy, double time, std::uint64_t seed) {
+  Sensor sensor;
+  sensor.response = calib::Response::srgb();
+  constexpr int kMargin = 60;
+  Image<Rgb> part(scene.width() - 2 * kMargin, scene.height() - 2 * kMargin);
+  for (int y = 0; y < part.height(); ++y)
+    for (int x = 0; x < part.width(); ++x)
+      part.at(x, y) = .4f * scene.at(x + kMargin - dx, y + kMargin - dy);
+  return bytes(test::shot(sensor, part, {Seconds(time), Gain(1)}, seed));
+}
+
+// With stones of 10 px.
+Image<Rgb> paved(Image<Rgb> scene, std::uint32_t seed) {
+  std::mt19937 random(seed);
+  std::uniform_real_distribution<float> shade(.4f, 1.6f);
+  constexpr int kStone = 10;
+  for (int y0 = 0; y0 < scene.height(); y0 += kStone)
+    for (int x0 = 0; x0 < scene.width(); x0 += kStone) {
+      const float s = shade(random);
+      for (int y = y0; y < y0 + kStone; ++y)
+        for (int x = x0; x < x0 + kStone; ++x) scene.at(x, y) = s * scene.at(x, y);
+    }
+  return scene;
+}
+
+TEST(CameraShift, IsFoundBetweenExposuresAndNotWhereTheCameraStands) {
+  for (std::uint32_t n = 0; n < 8; ++n) {
+    const Image<Rgb> scene = paved(make_random_environment(800, 400, 40 + n), n);
+    const Image<Rgb8> a = seen_from(scene, 0, 0, .1, 2 * n), same = seen_from(scene, 0, 0, .4, 90),
+                      moved = seen_from(scene, 34, -12, .4, 2 * n + 1);
+    const auto still = find_camera_shift(a, same), shift = find_camera_shift(a, moved);
+    ASSERT_TRUE(still) << n;
+    EXPECT_FALSE(still->moved()) << still->moved_px[0] << ' ' << still->moved_px[1];
+    ASSERT_TRUE(shift) << n;
+    EXPECT_TRUE(shift->moved());
+    EXPECT_NEAR(shift->moved_px[0], 34, 2 * shift->sigma_px);
+    EXPECT_NEAR(shift->moved_px[1], -12, 2 * shift->sigma_px);
+    // Of another place nothing can be said.
+    const Image<Rgb> other = paved(make_random_environment(800, 400, 140 + n), 50 + n);
+    const auto none = find_camera_shift(a, seen_from(other, 0, 0, .1, 91));
+    EXPECT_FALSE(none && none->moved()) << none->moved_px[0] << ' ' << none->moved_px[1];
+  }
+  const Image<Rgb8> grey(300, 200);
+  const auto nothing = find_camera_shift(grey, grey);
+  EXPECT_FALSE(nothing && nothing->moved());
+  EXPECT_FALSE(find_camera_shift(Image<Rgb8>(8, 8), Image<Rgb8>(8, 8)));
 }
 
 TEST(RealStack, PersonInPingpongLeavesNoGhost) {

@@ -292,6 +292,31 @@ class HdrMerge(CliTest):
         self.run_well("hdr", "merge", *pictures, "--times", "0.01,?", "--response", "linear", "-o", out)
         self.assert_close(self.run_json("inspect", out)["largest_luminance"], 109 / 255 / 0.01, 0.3)
 
+    def test_a_camera_that_moved_is_said_and_its_ratios_are_of_what_is_the_same(self):
+        draw = random.Random(4)
+        stones = [[.05 * 30 ** draw.random() for _ in range(60)] for _ in range(40)]
+        pictures = []
+        for k, (time, moved) in enumerate(((1, 0), (2, 11), (4, 5))):
+            pictures.append(self.root / f"moved{k}.png")
+
+            def codes(x, y, time=time, moved=moved):
+                light = stones[(y + 20) // 8][(x + 40 - moved) // 8] * time
+                return [round(255 * min(1, light * g) ** (1 / 2.2)) for g in (.4, .5, .6)]
+            files.write_png(pictures[-1], 200, 120, codes)
+        command = ["hdr", "merge", *pictures, "--times", "1,2,4", "-o", self.root / "moved.hdr"]
+        said = self.run_program(*command).stderr
+        self.assertRegex(said, r"warning: .*moved0.png and .*moved1.png: the camera moved by about 1[01] px; --align")
+        self.assertEqual(said.count("warning"), 1, said)
+        for told in self.run_json(*command)["exposure_ratios"]:
+            self.assertTrue(told["low"] <= 2 <= told["high"], told)
+            self.assert_close(told["ratio"], 2, .1)
+
+    def test_ratios_of_a_stack_held_by_hand_hold_what_its_camera_says(self):
+        pictures = sorted(self.shared_folder("eval-only/stacks/pingpong").glob("*.JPG"))
+        for told in self.run_json("hdr", "merge", *pictures, "-o", self.root / "hand.exr")["exposure_ratios"]:
+            self.assertTrue(told["low"] <= told["labelled_ratio"] <= told["high"], told)
+            self.assert_close(told["ratio"] / told["labelled_ratio"], 1, .06)
+
     def test_unknown_time_is_refused_where_hardly_anything_is_well_exposed_in_both(self):
         # Four in a thousand patches of the picture lie between black and white in both.
         for name, lit in (("few-a", 32), ("few-b", 64)):

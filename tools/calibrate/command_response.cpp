@@ -124,6 +124,14 @@ Result<void> calibrate_response(const CalibrateResponseOptions& o) {
   if (!std::holds_alternative<Image<Rgb8>>(*stack.frames[0]))
     return fail(ErrorCode::kUndetermined, first,
                 "is not 8-bit, and the response is estimated from 8-bit pictures only");
+  if (const auto common = common_part(stack)) {
+    log_warning(
+        "{} and {}: the camera moved by about {:.0f} px, and the curve is of what is the same in "
+        "all pictures: a tripod gives a better one",
+        name_of(o, stack, common->moved.against), name_of(o, stack, common->moved.picture),
+        common->moved.moved_px);
+    stack = common->stack;
+  }
   const EightBitBracket bracket = eight_bit_bracket(stack);
   auto found = calib::calibrate_response(bracket.pictures, bracket.times);
   if (!found) {

@@ -137,12 +137,21 @@ Result<ReadyStack> prepare(const HdrMergeOptions& o) {
         log_info("{}: moved by {:.1f} px against {}", o.images[k], alignment.moved_px[k],
                  o.images[reference]);
   }
-  PENUMBRA_ASSIGN(response, find_response(o, stack));
-  stack.response = response;
+  // Curve and ratios come from what is the same in all pictures, also where nobody aligns them.
+  auto common = o.align ? std::nullopt : common_part(stack);
+  capture::ExposureStack& told = common ? common->stack : stack;
+  PENUMBRA_ASSIGN(response, find_response(o, told));
+  stack.response = told.response = response;
   if (!o.response)
     stack.first_code = calib::kFirstReliableCode, stack.last_code = calib::kLastReliableCode;
-  PENUMBRA_ASSIGN(checked, report_times(o, stack));
-  if (!o.align && o.reference == 0) warn_of_motion(o, checked);
+  PENUMBRA_ASSIGN(checked, report_times(o, told));
+  stack.exposures = told.exposures;
+  if (common)
+    log_warning("{} and {}: the camera moved by about {:.0f} px; --align brings them together",
+                o.images[common->moved.against], o.images[common->moved.picture],
+                common->moved.moved_px);
+  else if (!o.align && o.reference == 0)
+    warn_of_motion(o, checked);
   if (o.align || o.reference > 0) priority(stack, reference);
   return ReadyStack{std::move(stack), std::move(checked)};
 }

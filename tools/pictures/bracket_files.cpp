@@ -3,10 +3,13 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <array>
 #include <cmath>
+#include <numeric>
 
 #include "calib/camera/response_table.h"
 #include "capture/frames.h"
+#include "capture/hdr/stacks.h"
 #include "codec/codec.h"
 #include "core/counted.h"
 #include "core/io/log.h"
@@ -182,6 +185,54 @@ Result<capture::ExposureStack> read_bracket(const std::vector<std::string>& imag
     stack.exposures.push_back({Seconds((times)[k]), Gain(1)});
   }
   return stack;
+}
+
+namespace {
+
+Image<Rgb8> part_of(const Image<Rgb8>& whole, int x0, int y0, int width, int height) {
+  Image<Rgb8> out(width, height);
+  for (int y = 0; y < height; ++y) std::copy_n(&whole.at(x0, y0 + y), width, &out.at(0, y));
+  return out;
+}
+
+}  // namespace
+
+std::optional<CommonPart> common_part(const capture::ExposureStack& stack) {
+  const std::size_t count = stack.frames.size();
+  if (count < 2 || !std::holds_alternative<Image<Rgb8>>(*stack.frames[0])) return std::nullopt;
+  const auto picture = [&](std::size_t k) -> const Image<Rgb8>& {
+    return std::get<Image<Rgb8>>(*stack.frames[k]);
+  };
+  // Neighbours by exposure have most in common; times that are not told stay where they were given.
+  std::vector<std::size_t> order(count);
+  std::iota(order.begin(), order.end(), std::size_t{0});
+  if (std::ranges::none_of(stack.exposures, [](auto& e) { return e.time == kUnknownTime; }))
+    std::ranges::stable_sort(order, {}, [&](std::size_t k) { return stack.exposures[k].time; });
+  std::vector<std::array<int, 2>> place(count, {0, 0});  // of what the first of the order shows
+  MovedCamera most{0, 0, 0};
+  for (std::size_t i = 1; i < count; ++i) {
+    const std::size_t before = order[i - 1], here = order[i];
+    place[here] = place[before];
+    const auto shift = capture::find_camera_shift(picture(before), picture(here));
+    if (!shift || !shift->moved()) continue;
+    const double moved_px = std::hypot(shift->moved_px[0], shift->moved_px[1]);
+    for (std::size_t axis = 0; axis < 2; ++axis)
+      place[here][axis] += static_cast<int>(std::lround(shift->moved_px[axis]));
+    if (moved_px > most.moved_px) most = {here, before, moved_px};
+  }
+  if (most.moved_px == 0) return std::nullopt;
+  std::array<int, 2> low = place[0], high = place[0];
+  for (const auto& p : place)
+    for (std::size_t axis = 0; axis < 2; ++axis)
+      low[axis] = std::min(low[axis], p[axis]), high[axis] = std::max(high[axis], p[axis]);
+  const int width = picture(0).width() - (high[0] - low[0]),
+            height = picture(0).height() - (high[1] - low[1]);
+  CommonPart out{stack, most};
+  if (2 * width < picture(0).width() || 2 * height < picture(0).height()) return out;
+  for (std::size_t k = 0; k < count; ++k)
+    out.stack.frames[k] = std::make_shared<const FramePixels>(
+        part_of(picture(k), place[k][0] - low[0], place[k][1] - low[1], width, height));
+  return out;
 }
 
 namespace {

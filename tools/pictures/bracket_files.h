@@ -1,6 +1,7 @@
 // A bracket as the commands name it: picture files and their exposure times.
 #pragma once
 
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -25,6 +26,20 @@ inline constexpr Seconds kUnknownTime{0};
 /// exposures, more than 16), kInvalid (sizes, not 8 bits)
 Result<capture::ExposureStack> average_clips(const std::vector<std::string>& captures,
                                              const std::string& camera);
+
+/// How far the camera moved between two pictures that follow each other by exposure.
+struct MovedCamera {
+  std::size_t picture, against;  // in the stack
+  double moved_px;
+};
+/// What all pictures (8 bits) show, shifted onto each other, for those who compare them: where the
+/// camera was held by hand. `moved` tells the largest shift; nothing where it stood still, or the
+/// pictures tell nothing.
+struct CommonPart {
+  capture::ExposureStack stack;
+  MovedCamera moved;
+};
+std::optional<CommonPart> common_part(const capture::ExposureStack& stack);
 
 /// An exposure against the one before it (of those that are told, by time), by what both pictures
 /// show.
