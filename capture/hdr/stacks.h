@@ -46,7 +46,7 @@ Result<ExposureRatio> estimate_exposure_ratio(const Image<Rgb8>& a, const Image<
                                               const ResponseTable& curve,
                                               double exponent_sigma = 0);
 
-/// Where a picture shows what another one shows, pixels to the right and down, by the whole picture.
+/// Where a picture shows what another one shows, pixels to the right and down.
 struct CameraShift {
   std::array<double, 2> moved_px;
   double sigma_px;  // about
