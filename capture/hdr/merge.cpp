@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <array>
 #include <atomic>
+#include <bitset>
 #include <cmath>
 #include <limits>
 #include <numeric>
@@ -109,13 +110,20 @@ class Stack {
       order_.resize(in.exposures.size());
       std::iota(order_.begin(), order_.end(), std::size_t{0});
     }
+    if constexpr (std::is_same_v<Pixel, Rgb8>) tabulate_contradictions();
   }
   int width() const { return images_[0]->width(); }
   int height() const { return images_[0]->height(); }
 
   SignalSample sample(std::size_t k, std::size_t i, int c) const {
+    return sample_of(code_at(k, i, c), c);
+  }
+  auto code_at(std::size_t k, std::size_t i, int c) const {
     const Pixel& p = images_[k]->pixels()[i];
-    const auto code = c == 0 ? p.r : c == 1 ? p.g : p.b;
+    return c == 0 ? p.r : c == 1 ? p.g : p.b;
+  }
+  template <class Code>
+  SignalSample sample_of(Code code, int c) const {
     if constexpr (std::is_same_v<Pixel, Rgb>) {
       const bool finite = std::isfinite(code);
       return {finite ? static_cast<double>(code) - in_.black_level : 0,
@@ -140,9 +148,7 @@ class Stack {
       if (!shows(in_, k, i)) continue;
       const bool fits = in_.priority.empty() || std::ranges::none_of(out, [&](std::size_t j) {
                           for (int c = 0; c < 3; ++c)
-                            if (contradict(sample(j, i, c), in_.exposures[j], sample(k, i, c),
-                                           in_.exposures[k], noise_, apart_, c, sigmas_))
-                              return true;
+                            if (samples_contradict(j, k, i, c)) return true;
                           return false;
                         });
       if (fits) out.push_back(k);
@@ -173,6 +179,42 @@ class Stack {
   }
 
  private:
+  // All that two codes of a channel can say of each other: a bit for each pair.
+  using CodePairs = std::bitset<256 * 256>;
+  static std::size_t pair_of(std::uint8_t a, std::uint8_t b) { return std::size_t{a} << 8 | b; }
+  std::size_t table_of(std::size_t j, std::size_t k, int c) const {
+    return (j * images_.size() + k) * 3 + static_cast<std::size_t>(c);
+  }
+
+  // Where pictures have more pixels than there are pairs of codes.
+  void tabulate_contradictions() {
+    constexpr std::size_t kMany = std::size_t{1} << 18;
+    if (in_.priority.empty() || images_[0]->area() < kMany) return;
+    contradictions_.resize(images_.size() * images_.size() * 3);
+    parallel_for(std::size_t{0}, order_.size(), [&](std::size_t last) {
+      for (std::size_t first = 0; first < last; ++first)
+        for (int c = 0; c < 3; ++c) {
+          const std::size_t j = order_[first], k = order_[last];
+          CodePairs& table = contradictions_[table_of(j, k, c)];
+          for (int a = 0; a < 256; ++a)
+            for (int b = 0; b < 256; ++b) {
+              const auto code = static_cast<std::uint8_t>(a), other = static_cast<std::uint8_t>(b);
+              table[pair_of(code, other)] =
+                  contradict(sample_of(code, c), in_.exposures[j], sample_of(other, c),
+                             in_.exposures[k], noise_, apart_, c, sigmas_);
+            }
+        }
+    });
+  }
+
+  bool samples_contradict(std::size_t j, std::size_t k, std::size_t i, int c) const {
+    if constexpr (std::is_same_v<Pixel, Rgb8>)
+      if (!contradictions_.empty())
+        return contradictions_[table_of(j, k, c)][pair_of(code_at(j, i, c), code_at(k, i, c))];
+    return contradict(sample(j, i, c), in_.exposures[j], sample(k, i, c), in_.exposures[k], noise_,
+                      apart_, c, sigmas_);
+  }
+
   const ExposureStack& in_;
   const ResponseTable* curve_;
   calib::NoiseModel noise_;  // for contradictions, as `apart_` and `sigmas_`
@@ -183,6 +225,7 @@ class Stack {
   std::array<float, 3> clip_level_{};  // of float pictures
   std::vector<std::size_t> order_;
   std::vector<const Image<Pixel>*> images_;
+  std::vector<CodePairs> contradictions_;  // by the more trusted picture, the other and channel
 };
 
 template <class Pixel>

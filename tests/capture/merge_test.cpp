@@ -4,6 +4,7 @@
 #include <cmath>
 #include <limits>
 #include <numeric>
+#include <random>
 
 #include "calib/calib.h"
 #include "capture/capture.h"
@@ -165,6 +166,38 @@ TEST(Merge, IgnoresTheOrderOfTheExposures) {
         ASSERT_NEAR(again->radiance.pixels()[i][c], merged->radiance.pixels()[i][c],
                     1e-6 * std::abs(merged->radiance.pixels()[i][c]) + 1e-9);
   }
+}
+
+// What large pictures look up in tables of all codes is what small ones compute.
+TEST(Merge, OfALargePictureWithAnOrderOfTrustIsThatOfItsParts) {
+  constexpr int kWidth = 800, kHeight = 400, kPart = 200;
+  std::mt19937 random(9);
+  std::uniform_int_distribution<int> code(0, 255);
+  std::vector<Image<Rgb8>> pictures(3, Image<Rgb8>(kWidth, kHeight));
+  for (Image<Rgb8>& p : pictures)
+    for (Rgb8& c : p.pixels())
+      c = {static_cast<std::uint8_t>(code(random)), static_cast<std::uint8_t>(code(random)),
+           static_cast<std::uint8_t>(code(random))};
+  const auto merged = [&](int x0, int width) {
+    ExposureStack stack;
+    stack.response = calib::Response::srgb();
+    stack.priority = {1, 0, 2};
+    stack.noise_known = false;
+    for (int k = 0; k < 3; ++k) {
+      Image<Rgb8> part(width, kHeight);
+      for (int y = 0; y < kHeight; ++y)
+        for (int x = 0; x < width; ++x)
+          part.at(x, y) = pictures[static_cast<std::size_t>(k)].at(x0 + x, y);
+      stack.frames.push_back(std::make_shared<const FramePixels>(std::move(part)));
+      stack.exposures.push_back({Seconds(std::pow(4., k - 1)), Gain(1)});
+    }
+    return merge(stack);
+  };
+  const auto whole = merged(0, kWidth), part = merged(kPart, kPart);
+  ASSERT_TRUE(whole && part);
+  for (int y = 0; y < kHeight; ++y)
+    for (int x = 0; x < kPart; ++x)
+      ASSERT_EQ(whole->radiance.at(kPart + x, y), part->radiance.at(x, y)) << x << ' ' << y;
 }
 
 TEST(Merge, ScalingAllExposuresByKScalesRadianceByOneOverK) {
