@@ -19,8 +19,10 @@ struct StillGoal {
 struct StillError {
   double luminance_rms = 0, luminance_max = 0;  // over the pixels that are not black
   /// The largest of the sums of the channels, of which each counts as a twentieth of the brightest
-  /// one more: a sun is few pixels and most of the light.
+  /// one more: a sun is few pixels and most of the light. A picture twice as wide as high is taken
+  /// for a lat-long map, whose sums are over the sphere.
   double light = 0;
+  std::size_t negative = 0;  // pixels of the truth with components below 0
 
   double larger() const { return luminance_rms > light ? luminance_rms : light; }
 };

@@ -32,10 +32,20 @@ std::string pixel_name(const Image<Rgb>& image, std::size_t index) {
   return "pixel " + std::to_string(index % width) + ", " + std::to_string(index / width);
 }
 
+Rgb without_negatives(const Rgb& p) {
+  return {std::max(0.f, p.r), std::max(0.f, p.g), std::max(0.f, p.b)};
+}
+
 // With what is below 0 cut, of the same luminance.
 Rgb inside_rec709(const Rgb& p, float y) {
-  const Rgb inside{std::max(0.f, p.r), std::max(0.f, p.g), std::max(0.f, p.b)};
+  const Rgb inside = without_negatives(p);
   return y / luminance(inside) * inside;
+}
+
+// Of a colour so far beyond Rec.709 that it has none, what is left of it without what is below 0.
+float luminance_kept(const Rgb& p) {
+  const float y = luminance(p);
+  return y > 0 ? y : luminance(without_negatives(p));
 }
 
 // Stops of the brightest pixel and of the darkest that is not black.
@@ -46,7 +56,7 @@ Result<LuminanceRange> range_of(const Image<Rgb>& radiance) {
   float low = std::numeric_limits<float>::max(), high = 0;
   for (std::size_t i = 0; i < radiance.area(); ++i) {
     const Rgb& p = radiance.pixels()[i];
-    const float y = luminance(p);
+    const float y = luminance_kept(p);
     if (!is_finite(p) || !std::isfinite(y))
       return fail(ErrorCode::kNonFinite, pixel_name(radiance, i), "is not finite");
     if (y > kMaxLuminance)
@@ -74,7 +84,7 @@ Result<LightPlanes> planes_from_rgb(const Image<Rgb>& radiance, double steps_per
   std::int32_t u = kColourZero, v = kColourZero;  // black takes its neighbour's colour: no edge
   for (std::size_t i = 0; i < radiance.area(); ++i) {
     const Rgb& p = radiance.pixels()[i];
-    const double y = luminance(p), stop = y > 0 ? std::log2(y) : range.low - 1;
+    const double y = luminance_kept(p), stop = y > 0 ? std::log2(y) : range.low - 1;
     if (stop >= range.low) {
       const Rgb inside = inside_rec709(p, static_cast<float>(y));
       const glm::vec3 xyz = kXyzFromRgb * glm::vec3(inside.r, inside.g, inside.b);
@@ -114,14 +124,24 @@ StillError error_of(const Image<Rgb>& truth, const Image<Rgb>& decoded, const Li
   double sum = 0, count = 0;
   std::array<double, 3> light{}, kept{};
   StillError out;
+  out.negative = static_cast<std::size_t>(std::ranges::count_if(truth.pixels(), [](const Rgb& p) {
+    return std::min({p.r, p.g, p.b}) < 0;
+  }));
+  const auto width = static_cast<std::size_t>(truth.width());
+  const bool is_sphere = truth.width() == 2 * truth.height();
+  // Of a row, for the sums of light.
+  const auto weight = [&](std::size_t row) {
+    return is_sphere ? std::sin(kPi * (double(row) + .5) / truth.height()) : 1;
+  };
   for (std::size_t i = 0; i < truth.area(); ++i) {
     const Rgb &a = truth.pixels()[i], &b = decoded.pixels()[i];
-    const double y = luminance(a);
+    const double y = luminance_kept(a);
     if (!(y >= least)) continue;
     const Rgb inside = inside_rec709(a, static_cast<float>(y));
+    const double part = weight(i / width);
     for (int c = 0; c < 3; ++c) {
-      light[static_cast<std::size_t>(c)] += double{inside[c]};
-      kept[static_cast<std::size_t>(c)] += double{b[c]};
+      light[static_cast<std::size_t>(c)] += part * double{inside[c]};
+      kept[static_cast<std::size_t>(c)] += part * double{b[c]};
     }
     // What became black is off by as much as the scale's end.
     const double error = std::abs(std::log10(std::max<double>(luminance(b), black) / y));

@@ -233,14 +233,18 @@ Result<CodedStill> encode_log_jpeg2000_exactly(const Image<Rgb>& radiance, const
   if (goal.max_bytes > 0)
     return fail(ErrorCode::kInvalid, "goal", "has a size, but what is exact takes what it takes");
   // Half a step off at most, less what floats round.
-  const double steps = std::log10(2.) / (2 * goal.deviation) * 1.01;
-  PENUMBRA_ASSIGN(planes, planes_from_rgb(radiance, steps));
+  double steps = std::log10(2.) / (2 * goal.deviation) * 1.01;
   const StillTask task{radiance, coder_for(radiance, coder), environment};
-  PENUMBRA_ASSIGN(coded, measured(encode_planes(task, planes, 0), task, planes.scale));
-  if (coded.error.luminance_max > goal.deviation)
-    return fail(ErrorCode::kUndetermined, "goal",
-                "cannot be met: the picture's range leaves too few of 16 bits");
-  return coded;
+  constexpr int kTries = 4;  // finer, for the light of a channel that is few pixels' colour
+  for (int i = 0; i < kTries; ++i) {
+    PENUMBRA_ASSIGN(planes, planes_from_rgb(radiance, steps));
+    PENUMBRA_ASSIGN(coded, measured(encode_planes(task, planes, 0), task, planes.scale));
+    if (coded.error.luminance_max > goal.deviation) break;
+    if (coded.error.light <= goal.deviation) return coded;
+    steps *= 1.2 * coded.error.light / goal.deviation;
+  }
+  return fail(ErrorCode::kUndetermined, "goal",
+              "cannot be met: the picture's range leaves too few of 16 bits");
 }
 
 bool is_jpeg2000(Bytes bytes) {

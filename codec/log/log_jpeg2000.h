@@ -21,9 +21,9 @@ enum class WaveletCoder {
 
 /// A JP2 or JPH file: three planes, CIE luminance in equal steps of its logarithm and CIE 1976
 /// u', v' as sYCC, so that other readers show a pale picture; a box of our own says the steps.
-/// in:     linear Rec.709. Components below 0 come back as 0 at the pixel's luminance; a pixel
-///         without luminance is black, as is one darker than 2^-28 of the brightest: it comes back
-///         black, but for its neighbours' ringing. No alpha.
+/// in:     linear Rec.709. Components below 0 come back as 0 at the pixel's luminance, or, where it
+///         has none, at that of the others. What is darker than 2^-28 of the brightest pixel counts
+///         as black, which comes back black, but for its neighbours' ringing. No alpha.
 /// errors: kInvalid (empty, too large, a pixel above 1e30, a goal out of its range), kNonFinite,
 ///         kUndetermined (the goal cannot be met)
 /// source: Xu 2005, section 4.2. Differs: one logarithm of luminance and u', v' in place of three
@@ -32,8 +32,8 @@ Result<CodedStill> encode_log_jpeg2000(const Image<Rgb>& radiance, const StillGo
                                        WaveletCoder coder = WaveletCoder::kFast,
                                        std::optional<EnvironmentAttribute> environment = {});
 
-/// No pixel's log10 luminance farther off than `goal.deviation`: as few bits as that allows, and
-/// wavelets of whole numbers. Colour is in steps alike.
+/// No pixel's log10 luminance farther off than `goal.deviation`, nor any channel's light: as few
+/// bits as that allows, and wavelets of whole numbers. Colour is in steps alike.
 /// errors: as encode_log_jpeg2000; kInvalid where goal.max_bytes is said
 /// source: Xu 2005, equations 9.8 to 9.11
 Result<CodedStill> encode_log_jpeg2000_exactly(

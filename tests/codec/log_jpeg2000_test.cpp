@@ -168,6 +168,52 @@ TEST(LogJpeg2000Planes, SaturatedColoursAndOnesBeyondRec709AreKeptAsFarAsItGoes)
   }
 }
 
+// Its luminance is below 0, and it is no black.
+TEST(LogJpeg2000Planes, AColourFarBeyondRec709KeepsWhatIsAboveZero) {
+  Image<Rgb> truth = room(80, 70);
+  for (int y = 20; y < 50; ++y)
+    for (int x = 20; x < 50; ++x) truth.at(x, y) = {2, -1, .5f};
+  const auto coded = encode_log_jpeg2000_exactly(truth, {.deviation = .005});
+  ASSERT_TRUE(coded) << coded.error().detail;
+  EXPECT_EQ(coded->error.negative, 900U);
+  const Rgb back = decode_log_jpeg2000(coded->bytes, "p")->pixels.at(35, 35);
+  EXPECT_NEAR(back.r, 2, .05);
+  EXPECT_NEAR(back.g, 0, .05);
+  EXPECT_NEAR(back.b, .5, .05);
+}
+
+double sphere_sum(const Image<Rgb>& map, int channel) {
+  double sum = 0;
+  for (int y = 0; y < map.height(); ++y)
+    for (int x = 0; x < map.width(); ++x)
+      sum += std::sin(kPi * (y + .5) / map.height()) * double{map.at(x, y)[channel]};
+  return sum;
+}
+
+// Rows at the zenith are many pixels of little light.
+TEST(LogJpeg2000Planes, LightOfALatLongMapIsThatOfTheSphere) {
+  Image<Rgb> truth(256, 128);
+  for (int y = 0; y < 128; ++y)
+    for (int x = 0; x < 256; ++x)
+      truth.at(x, y) = y < 3 ? Rgb{2e4f, 3e4f, 5e4f} : Rgb{.3f, .25f, .2f};
+  for (int y = 60; y < 63; ++y)
+    for (int x = 100; x < 104; ++x) truth.at(x, y) = {9e3f, 6e3f, 3e3f};
+  const auto coded = encode_log_jpeg2000(truth);
+  ASSERT_TRUE(coded) << coded.error().detail;
+  const Image<Rgb> back = decode_log_jpeg2000(coded->bytes, "p")->pixels;
+  for (int c = 0; c < 3; ++c) EXPECT_NEAR(sphere_sum(back, c) / sphere_sum(truth, c), 1, .025) << c;
+}
+
+// Colour of few pixels that are most of a channel's light.
+TEST(LogJpeg2000Planes, EveryPixelIsAlsoTheLightOfEachChannel) {
+  Image<Rgb> truth(128, 64);
+  for (Rgb& p : truth.pixels()) p = {.1f, .2f, .3f};
+  truth.at(60, 30) = {1e6f, 1e5f, 1e4f};
+  const auto coded = encode_log_jpeg2000_exactly(truth, {.deviation = .00432});
+  ASSERT_TRUE(coded) << coded.error().detail;
+  EXPECT_LE(coded->error.light, .00432);
+}
+
 TEST(LogJpeg2000Planes, WhatTheEnvironmentIsIsKept) {
   const auto with = [](std::optional<EnvironmentAttribute> environment) {
     const auto coded = encode_log_jpeg2000(room(80, 70), {}, WaveletCoder::kFast, environment);

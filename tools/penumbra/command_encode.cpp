@@ -70,7 +70,7 @@ void report_encoded(const EncodeOptions& o, const Image<Rgb>& pixels,
   }
   fmt::print(
       "{}: {}x{}, {:.1f} KB, {:.2f} bits a pixel; luminance off by {:.3g} % (RMS), at worst {:.3g} "
-      "%; light of a channel off by {:.3g} %\n",
+      "%; light of a channel off by {:.3g} % of it and a twentieth of the brightest\n",
       o.output, pixels.width(), pixels.height(), double(coded.bytes.size()) / kBytesPerKb, bits,
       percent(e.luminance_rms), percent(e.luminance_max), percent(e.light));
 }
@@ -97,6 +97,9 @@ Result<void> encode(const EncodeOptions& o) {
   }
   PENUMBRA_TRY(write_bytes(
       o.output, {reinterpret_cast<const char*>(coded->bytes.data()), coded->bytes.size()}));
+  if (coded->error.negative > 0)
+    log_warning("{}: {} pixels have components below 0, which come back as 0", o.input,
+                coded->error.negative);
   report_encoded(o, input.pixels, *coded);
   return {};
 }
@@ -130,7 +133,8 @@ void add_encode(CLI::App& parent, Action& action) {
   auto* error =
       c->add_option("--error", o.error_percent,
                     "Largest error in per cent: of luminance, RMS over the pixels, and of the "
-                    "light of each channel; 0.01 to 100")
+                    "light of each channel (with a twentieth of the brightest one's; over the "
+                    "sphere for pictures of 2:1); 0.01 to 100")
           ->capture_default_str()
           ->check(within(.01, 100));
   c->add_option("--size-kb", o.size_kb,
