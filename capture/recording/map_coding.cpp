@@ -143,10 +143,32 @@ Result<AvParameters> parameters_of(const AVCodecContext& coder) {
   return out;
 }
 
+// FFmpeg's FFV1 decoder conceals slices whose checksum is wrong and calls them decoded, so it is
+// held against the bytes here. Slices are found from the packet's end: each ends with its size (3
+// bytes), whether it is whole (1) and its checksum (4).
+// source: RFC 9043, section 4.9
+bool slices_are_whole(const AVPacket& packet) {
+  constexpr std::size_t kFooter = 8, kMaxSlices = 1024;
+  const AVCRC* const table = av_crc_get_table(AV_CRC_32_IEEE);
+  std::span<const std::uint8_t> left(packet.data, static_cast<std::size_t>(packet.size));
+  for (std::size_t slices = 0; !left.empty(); ++slices) {
+    if (left.size() < kFooter || slices == kMaxSlices) return false;
+    const auto footer = left.last(kFooter);
+    const std::size_t size =
+        kFooter + (std::size_t{footer[0]} << 16 | std::size_t{footer[1]} << 8 | footer[2]);
+    if (size > left.size() || av_crc(table, 0, left.last(size).data(), size) != 0) return false;
+    left = left.first(left.size() - size);
+  }
+  return true;
+}
+
 Result<void> decode_into(AVCodecContext& coder, const AVPacket& packet, AVPixelFormat format,
                          int width, int height, AVFrame& out) {
+  if (coder.codec_id == AV_CODEC_ID_FFV1 && !slices_are_whole(packet))
+    return fail(ErrorCode::kUnreadable, "map", "is damaged: its checksum is of other bytes");
   int r = avcodec_send_packet(&coder, &packet);
   if (r >= 0) r = avcodec_receive_frame(&coder, &out);
+  if (r >= 0 && out.decode_error_flags != 0) r = AVERROR_INVALIDDATA;
   if (r < 0) {
     avcodec_flush_buffers(&coder);
     return fail(ErrorCode::kUnreadable, "map", av_reason(r));

@@ -7,6 +7,7 @@
 
 #include "calib/calib.h"
 #include "capture/capture.h"
+#include "capture/recording/internal/map_coding.h"
 #include "core/conventions.h"
 #include "tests/support/irradiance.h"
 #include "tests/support/temp_folder.h"
@@ -388,6 +389,46 @@ TEST_F(LightTrack, DamageCostsMapsUpToTheNextKey) {
     }
   }
   EXPECT_GT(lost, 6u);
+}
+
+struct ParametersFreed {
+  void operator()(AVCodecParameters* p) const { avcodec_parameters_free(&p); }
+};
+struct PacketFreed {
+  void operator()(AVPacket* p) const { av_packet_free(&p); }
+};
+
+// FFmpeg's decoder shows the last map's pixels where a checksum is wrong: what is clipped would be
+// that of another map.
+TEST(MapDecoder, AnyDamagedByteOfWhatWasSeenIsFound) {
+  auto encoder = MapEncoder::create(2 * kTrackRows, kTrackRows, true);
+  ASSERT_TRUE(encoder) << encoder.error().detail;
+  const auto parameters_of = [](const AVCodecContext& coder) {
+    std::unique_ptr<AVCodecParameters, ParametersFreed> out(avcodec_parameters_alloc());
+    avcodec_parameters_from_context(out.get(), &coder);
+    return out;
+  };
+  const auto light_parameters = parameters_of(encoder->light()),
+             seen_parameters = parameters_of(encoder->seen());
+  auto decoder = MapDecoder::open(*light_parameters, *seen_parameters);
+  ASSERT_TRUE(decoder) << decoder.error().detail;
+  const std::unique_ptr<AVPacket, PacketFreed> light(av_packet_alloc()), seen(av_packet_alloc());
+  Environment map = measured_map(make_room_environment(2 * kTrackRows, kTrackRows), 1);
+  map.clipped = {700, 701, 2000};
+  const auto label = encoder->code(map, *light, *seen);
+  ASSERT_TRUE(label) << label.error().detail;
+  const auto whole = decoder->decode(*light, *seen, *label);
+  ASSERT_TRUE(whole) << whole.error().detail;
+  EXPECT_EQ(whole->clipped, map.clipped);
+  int found = 0;
+  for (int i = 0; i < seen->size; ++i) {
+    seen->data[i] ^= 0x10;
+    found += !decoder->decode(*light, *seen, *label);
+    seen->data[i] ^= 0x10;
+  }
+  EXPECT_GT(seen->size, 40);
+  EXPECT_EQ(found, seen->size);
+  EXPECT_TRUE(decoder->decode(*light, *seen, *label)) << "what is whole is read again";
 }
 
 TEST_F(LightTrack, AReplayTakesWhatIsAskedFor) {
