@@ -1,7 +1,7 @@
 #include "service/rig_source.h"
 
 #include "capture/device/rig.h"
-#include "capture/recording/recording.h"
+#include "capture/recording/undamaged_frames.h"
 #include "capture/studio/environments.h"
 #include "capture/studio/studio.h"
 #include "runtime/pipeline/light_file.h"
@@ -17,7 +17,7 @@ namespace {
 class LoopingCapture : public capture::FrameSource {
  public:
   static Result<std::unique_ptr<LoopingCapture>> open(const std::string& path) {
-    PENUMBRA_ASSIGN(first, capture::open_capture(path, capture::RecordedLight::kEither));
+    PENUMBRA_ASSIGN(first, capture::UndamagedFrames::open(path, capture::RecordedLight::kEither));
     auto out = std::unique_ptr<LoopingCapture>(new LoopingCapture);
     out->path_ = path;
     out->cameras_ = first->cameras();
@@ -30,7 +30,8 @@ class LoopingCapture : public capture::FrameSource {
     auto frame = source_->next();
     if (!frame) return frame;
     if (!*frame) {
-      PENUMBRA_ASSIGN(again, capture::open_capture(path_, capture::RecordedLight::kEither));
+      PENUMBRA_ASSIGN(again,
+                      capture::UndamagedFrames::open(path_, capture::RecordedLight::kEither));
       source_ = std::move(again);
       frame = source_->next();
       if (!frame || !*frame) return frame;

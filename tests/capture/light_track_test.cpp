@@ -8,6 +8,7 @@
 #include "calib/calib.h"
 #include "capture/capture.h"
 #include "capture/recording/internal/map_coding.h"
+#include "capture/recording/undamaged_frames.h"
 #include "core/conventions.h"
 #include "tests/support/irradiance.h"
 #include "tests/support/temp_folder.h"
@@ -379,6 +380,13 @@ TEST_F(LightTrack, DamageCostsMapsUpToTheNextKey) {
     int damaged = 0;
     const auto back = read(&damaged);
     EXPECT_LE(back.size(), maps.size());
+    // Programs go on over it, and count.
+    auto whole_ones = UndamagedFrames::open(path(), RecordedLight::kBoth);
+    ASSERT_TRUE(whole_ones) << whole_ones.error().detail;
+    std::size_t taken = 0;
+    for (auto f = (*whole_ones)->next(); f && *f; f = (*whole_ones)->next()) ++taken;
+    EXPECT_EQ(taken, back.size());
+    EXPECT_EQ((*whole_ones)->left_out(), static_cast<std::uint64_t>(damaged));
     lost += maps.size() - back.size();
     for (const Frame& f : back) {
       const auto n = static_cast<std::size_t>(std::lround((f.time - maps[0].time).count() / .1));

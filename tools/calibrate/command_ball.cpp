@@ -7,7 +7,7 @@
 #include "calib/camera/mirror_ball.h"
 #include "capture/device/rig.h"
 #include "capture/frames.h"
-#include "capture/recording/recording.h"
+#include "capture/recording/undamaged_frames.h"
 #include "runtime/pipeline/report.h"
 #include "tools/calibrate/commands.h"
 #include "tools/common/command.h"
@@ -26,7 +26,7 @@ struct CalibrateBallOptions {
 
 Result<std::vector<capture::CameraInfo>> cameras_of(const std::string& path) {
   if (!path.ends_with(".toml")) {
-    PENUMBRA_ASSIGN(source, capture::open_capture(path));
+    PENUMBRA_ASSIGN(source, capture::UndamagedFrames::open(path));
     return source->cameras();
   }
   PENUMBRA_ASSIGN(rig, capture::read_rig_cameras(path));

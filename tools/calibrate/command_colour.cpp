@@ -7,7 +7,7 @@
 #include "calib/estimate/colour_calibration.h"
 #include "capture/environment/common_surfaces.h"
 #include "capture/frames.h"
-#include "capture/recording/recording.h"
+#include "capture/recording/undamaged_frames.h"
 #include "core/conventions.h"
 #include "core/io/files.h"
 #include "runtime/pipeline/report.h"
@@ -95,7 +95,7 @@ Result<void> calibrate_colour(const CalibrateColourOptions& o) {
   PENUMBRA_ASSIGN(model, calib::colour_model(o.model));
   PENUMBRA_TRY(check_writable(o.output));
   if (o.report) PENUMBRA_TRY(make_folder(*o.report));
-  PENUMBRA_ASSIGN(source, capture::open_capture(o.capture));
+  PENUMBRA_ASSIGN(source, capture::UndamagedFrames::open(o.capture));
   PENUMBRA_ASSIGN(pictures, capture::merge_still(*source, {o.environment, o.view}));
   const capture::StillPicture &environment = pictures[0], &view = pictures[1];
   if (environment.camera.role != capture::Role::kEnvironment ||

@@ -9,7 +9,7 @@
 #include "calib/estimate/latency.h"
 #include "calib/estimate/rig_calibration.h"
 #include "capture/recording/folder.h"
-#include "capture/recording/recording.h"
+#include "capture/recording/undamaged_frames.h"
 #include "core/conventions.h"
 #include "core/io/files.h"
 #include "core/io/log.h"
@@ -103,7 +103,7 @@ glm::dquat same_way_up(const glm::dquat& turn, const glm::dquat& before) {
 
 // How the camera is turned against the board, at each frame that shows it.
 Result<SeenBoards> look(const CalibrateLatencyOptions& o, const calib::Board& board) {
-  PENUMBRA_ASSIGN(source, capture::open_capture(o.capture));
+  PENUMBRA_ASSIGN(source, capture::UndamagedFrames::open(o.capture));
   const auto& all = source->cameras();
   PENUMBRA_ASSIGN(camera, choose_camera(o, all));
   if (o.pose_file) PENUMBRA_TRY(with_offset(*o.pose_file, camera.name, {}));

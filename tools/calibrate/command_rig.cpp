@@ -10,7 +10,7 @@
 #include "calib/estimate/rig_calibration.h"
 #include "capture/frames.h"
 #include "capture/recording/folder.h"
-#include "capture/recording/recording.h"
+#include "capture/recording/undamaged_frames.h"
 #include "core/conventions.h"
 #include "core/io/files.h"
 #include "core/io/log.h"
@@ -99,7 +99,7 @@ bool some_lens_is_exact(const RigPictures& seen) {
 
 // Frames of one moment, and then none until `every_s` has passed.
 Result<RigPictures> look(const CalibrateRigOptions& o, const calib::Board& board) {
-  PENUMBRA_ASSIGN(source, capture::open_capture(o.capture));
+  PENUMBRA_ASSIGN(source, capture::UndamagedFrames::open(o.capture));
   RigPictures seen;
   PENUMBRA_ASSIGN(index_of, choose_cameras(o, source->cameras(), seen));
   PENUMBRA_TRY(set_lenses(o, seen));

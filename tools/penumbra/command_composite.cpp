@@ -4,7 +4,7 @@
 #include <filesystem>
 
 #include "capture/frames.h"
-#include "capture/recording/recording.h"
+#include "capture/recording/undamaged_frames.h"
 #include "core/io/files.h"
 #include "core/threads/stop_signal.h"
 #include "runtime/pipeline/pipeline.h"
@@ -36,9 +36,11 @@ class PartOfCapture final : public capture::FrameSource {
   PartOfCapture(capture::FrameSource& whole, Seconds length) : whole_(whole), length_(length) {}
   const std::vector<capture::CameraInfo>& cameras() const override { return whole_.cameras(); }
   double view_rate() const override { return whole_.view_rate(); }
-  int pictures() const { return pictures_; }
+  /// Ended without a single one.
+  bool has_no_picture() const { return ended_ && pictures_ == 0; }
   Result<std::optional<capture::Frame>> next() override {
     PENUMBRA_ASSIGN(frame, whole_.next());
+    ended_ = !frame;
     if (!frame) return frame;
     const auto camera = static_cast<std::size_t>(frame->camera);
     if (cameras()[camera].role != capture::Role::kView) return frame;
@@ -53,6 +55,7 @@ class PartOfCapture final : public capture::FrameSource {
   Seconds length_;
   std::optional<TimestampNs> begin_;
   int pictures_ = 0;
+  bool ended_ = false;
 };
 
 // The first view camera's frames are frame_000000.png; a second eye carries its name.
@@ -97,7 +100,7 @@ Result<void> composite(const CompositeOptions& o) {
   PENUMBRA_ASSIGN(light, capture::recorded_light(o.light));
   if (!(o.seconds >= 0 && o.seconds < 1e9))
     return fail(ErrorCode::kInvalid, "--seconds", "is not a number of seconds within 0..1e9");
-  PENUMBRA_ASSIGN(source, capture::open_capture(o.capture, light, Seconds(o.from_s)));
+  PENUMBRA_ASSIGN(source, capture::UndamagedFrames::open(o.capture, light, Seconds(o.from_s)));
   PENUMBRA_ASSIGN(scene, runtime::read_scene(o.scene));
   const auto& cameras = source->cameras();
   if (const auto usable = Pipeline::check(cameras); !usable)
@@ -135,7 +138,7 @@ Result<void> composite(const CompositeOptions& o) {
   };
   PartOfCapture part(*source, Seconds(o.seconds));
   auto replayed = pipeline.replay(part, write);
-  if (!replayed && o.from_s > 0 && part.pictures() == 0)
+  if (!replayed && o.from_s > 0 && part.has_no_picture())
     return fail(ErrorCode::kInvalid, "--from",
                 fmt::format("{} s is behind the last picture of {}", o.from_s, o.capture));
   PENUMBRA_ASSIGN(counts, replayed);

@@ -5,7 +5,7 @@
 #include <optional>
 
 #include "capture/frames.h"
-#include "capture/recording/recording.h"
+#include "capture/recording/undamaged_frames.h"
 #include "codec/codec.h"
 #include "core/counted.h"
 #include "core/environment.h"
@@ -72,7 +72,8 @@ Image<float> seen_pixels(const Environment& map) {
 
 Result<void> hdr_environment(const HdrEnvironmentOptions& o) {
   PENUMBRA_TRY(check_writable(o.output));
-  PENUMBRA_ASSIGN(source, capture::open_capture(o.capture, capture::RecordedLight::kEither));
+  PENUMBRA_ASSIGN(source,
+                  capture::UndamagedFrames::open(o.capture, capture::RecordedLight::kEither));
   StageTimes times;
   PENUMBRA_ASSIGN(stage,
                   runtime::LightEstimationStage::create(source->cameras(), {.bands = 3}, times));

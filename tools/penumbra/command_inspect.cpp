@@ -15,7 +15,7 @@
 #include "capture/frames.h"
 #include "capture/recording/folder.h"
 #include "capture/recording/folder_format.h"
-#include "capture/recording/recording.h"
+#include "capture/recording/undamaged_frames.h"
 #include "codec/codec.h"
 #include "codec/gain_map_jpeg.h"
 #include "core/conventions.h"
@@ -55,7 +55,7 @@ json to_json(const capture::CameraInfo& c) {
 }
 
 Result<json> inspect_capture(const std::string& path, const char* kind) {
-  PENUMBRA_ASSIGN(source, capture::open_capture(path, capture::RecordedLight::kBoth));
+  PENUMBRA_ASSIGN(source, capture::UndamagedFrames::open(path, capture::RecordedLight::kBoth));
   json cameras = json::array();
   for (const capture::CameraInfo& c : source->cameras()) {
     json& camera = cameras.emplace_back(to_json(c));
@@ -71,7 +71,7 @@ Result<json> inspect_capture(const std::string& path, const char* kind) {
       camera["first_time_s"] = (frame->time - TimestampNs{0}).count();
     camera["last_time_s"] = (frame->time - TimestampNs{0}).count();
   }
-  return json{{"kind", kind}, {"cameras", cameras}};
+  return json{{"kind", kind}, {"cameras", cameras}, {"damaged_frames", source->left_out()}};
 }
 
 Result<json> inspect_baked(const std::string& file) {

@@ -4,7 +4,7 @@
 
 #include <algorithm>
 
-#include "capture/recording/recording.h"
+#include "capture/recording/undamaged_frames.h"
 
 namespace penumbra::tools {
 
@@ -19,7 +19,7 @@ Result<CameraFilm> CameraFilm::of(std::unique_ptr<capture::FrameSource> source,
 }
 
 Result<CameraFilm> CameraFilm::open(const std::string& path, const std::string& camera) {
-  PENUMBRA_ASSIGN(source, capture::open_capture(path));
+  PENUMBRA_ASSIGN(source, capture::UndamagedFrames::open(path));
   return of(std::move(source), path, camera);
 }
 
