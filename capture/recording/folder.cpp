@@ -61,12 +61,14 @@ class FolderSource final : public FrameSource {
       return fail(ErrorCode::kInvalid, path.string(),
                   fmt::format("has {}x{} pixels instead of {}x{}", width(pixels), height(pixels),
                               camera.projection.width, camera.projection.height));
-    return Frame{static_cast<int>(entry.camera),
-                 entry.row,
-                 row.time,
-                 row.exposure,
-                 row.pose.value_or(camera.world_from_camera),
-                 std::make_shared<const FramePixels>(std::move(pixels))};
+    Frame frame{static_cast<int>(entry.camera),
+                entry.row,
+                row.time,
+                row.exposure,
+                row.pose.value_or(camera.world_from_camera),
+                std::make_shared<const FramePixels>(std::move(pixels))};
+    frame.opacity = row.opacity;
+    return frame;
   }
 
  private:

@@ -24,6 +24,7 @@ struct FrameRow {
   TimestampNs time;
   Exposure exposure;
   std::optional<Pose> pose;
+  float opacity = 1;  // as of Frame
 };
 
 struct FolderCamera {
@@ -34,6 +35,7 @@ struct FolderCamera {
 inline constexpr std::string_view kManifestName = "capture.toml";
 inline constexpr std::string_view kListHeader = "file,time_s,exposure_s,gain";
 inline constexpr std::string_view kPoseHeader = ",tx,ty,tz,qx,qy,qz,qw";
+inline constexpr std::string_view kOpacityHeader = ",opacity";  // behind a pose
 
 /// Reads capture.toml and every camera's frame list.
 /// errors: as open_capture_folder
@@ -61,7 +63,7 @@ Result<std::vector<CameraInfo>> read_cameras(const toml::table& root,
 Result<std::vector<FrameRow>> read_frame_list(const std::filesystem::path& folder,
                                               const std::string& list);
 
-/// One line without its header; `with_pose` as the header says.
+/// One line without its header; `with_pose` as the header says. Behind a pose an opacity may follow.
 /// errors: kInvalid, `where` is given
 Result<FrameRow> parse_row(std::string_view line, bool with_pose, const std::string& where);
 std::string print_row(const FrameRow& row);

@@ -95,9 +95,10 @@ Result<bool> parse_header(std::string_view line, const std::string& where) {
     compact += field;
   }
   if (compact == kListHeader) return false;
-  if (compact == full) return true;
+  if (compact == full || compact == full + std::string(kOpacityHeader)) return true;
   return fail(ErrorCode::kInvalid, where,
-              fmt::format("header is \"{}\" instead of \"{}\" or \"{}\"", line, kListHeader, full));
+              fmt::format("header is \"{}\" instead of \"{}\", \"{}\" or the latter with \"{}\"",
+                          line, kListHeader, full, kOpacityHeader));
 }
 
 Result<void> check_after(const FrameRow& row, const std::vector<FrameRow>& rows,
@@ -129,7 +130,8 @@ Result<FrameRow> parse_row(std::string_view line, bool with_pose, const std::str
   };
   const auto fields = split(line);
   const std::size_t expected = with_pose ? 11 : 4;
-  if (fields.size() != expected)
+  const bool with_opacity = with_pose && fields.size() == expected + 1;
+  if (fields.size() != expected && !with_opacity)
     return invalid(fmt::format("has {} fields instead of {}", fields.size(), expected));
   FrameRow row;
   row.file = std::string(fields[0]);
@@ -149,6 +151,11 @@ Result<FrameRow> parse_row(std::string_view line, bool with_pose, const std::str
   if (!with_pose) return row;
   PENUMBRA_ASSIGN(pose, parse_pose(std::span(fields).subspan(4), where));
   row.pose = pose;
+  if (!with_opacity) return row;
+  const auto opacity = to_number(fields.back());
+  if (!opacity || *opacity < 0 || *opacity > 1)
+    return invalid(fmt::format("opacity is \"{}\" and not within 0..1", fields.back()));
+  row.opacity = static_cast<float>(*opacity);
   return row;
 }
 
@@ -158,7 +165,8 @@ std::string print_row(const FrameRow& row) {
                                  row.exposure.time.count(), row.exposure.gain.value());
   if (!row.pose) return text;
   const auto& [q, t] = *row.pose;
-  return text + fmt::format(",{},{},{},{},{},{},{}", t.x, t.y, t.z, q.x, q.y, q.z, q.w);
+  text += fmt::format(",{},{},{},{},{},{},{}", t.x, t.y, t.z, q.x, q.y, q.z, q.w);
+  return row.opacity < 1 ? text + fmt::format(",{}", row.opacity) : text;
 }
 
 Result<std::vector<FrameRow>> read_frame_list(const fs::path& folder, const std::string& list) {

@@ -474,6 +474,7 @@ Result<std::optional<Frame>> Recording::decode(const CodedFrame& coded) {
               coded.row.exposure,
               *coded.row.pose,
               std::make_shared<const FramePixels>(std::move(*pixels))};
+  frame.opacity = coded.row.opacity;
   if (track.is_jpeg()) {
     const auto* bytes = reinterpret_cast<const std::byte*>(coded.picture->data);
     frame.jpeg = std::make_shared<const std::vector<std::byte>>(bytes, bytes + coded.picture->size);

@@ -318,7 +318,7 @@ std::string RecordingWriter::Impl::label_text(const Frame& frame, const VideoTra
   const std::string& name = cameras[static_cast<std::size_t>(frame.camera)].name;
   if (!track.maps)
     return print_row({fmt::format("{}/{}", name, frame.sequence), frame.time, frame.exposure,
-                      frame.world_from_camera});
+                      frame.world_from_camera, frame.opacity});
   const Exposure exposure{Seconds(track.map_label.exposure), Gain(1)};
   return print_map_label(print_row({fmt::format("{}/{}", name, track.maps->coded() - 1), frame.time,
                                     exposure, Pose{}}),

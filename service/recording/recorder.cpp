@@ -118,6 +118,7 @@ class Recorder {
     RecordCounts out;
     for (std::size_t i = 0; i < stations_.size(); ++i) {
       out.frames.push_back(stations_[i]->written);
+      out.faded.push_back(stations_[i]->faded);
       out.dropped.push_back(dropped_before_[i] + stations_[i]->queue.dropped());
     }
     out.cameras = source_.counts();
@@ -140,7 +141,7 @@ class Recorder {
  private:
   struct Station {
     Bounded<Frame> queue{kQueued};
-    std::atomic<std::uint64_t> written = 0;
+    std::atomic<std::uint64_t> written = 0, faded = 0;
     std::jthread thread;
   };
 
@@ -153,6 +154,7 @@ class Recorder {
         failed_ = true;
       } else {
         ++station.written;
+        station.faded += frame->opacity < 1;
       }
     }
   }

@@ -22,6 +22,7 @@ struct RecordLimits {
 struct RecordCounts {
   std::vector<std::uint64_t> frames;           // written, one number a camera
   std::vector<std::uint64_t> dropped;          // came, but were not coded in time
+  std::vector<std::uint64_t> faded;            // written, of these: their pose is old or unknown
   std::vector<capture::CameraCounts> cameras;  // of real ones
   double seconds = 0;                          // from the first frame's time to the last one's
   std::uint64_t bytes = 0;

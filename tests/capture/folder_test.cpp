@@ -318,6 +318,21 @@ TEST(CaptureFolder, RefusesABadPose) {
   expect_error(made.path(), ErrorCode::kInvalid, "environment.csv:2", "has length 2");
   write_text(made.path() / "environment.csv", header + "environment/0.png,0,1,1\n");
   expect_error(made.path(), ErrorCode::kInvalid, "environment.csv:2", "4 fields instead of 11");
+  write_text(made.path() / "environment.csv",
+             replaced(header, "qw", "qw,opacity") + "environment/0.png,0,1,1,0,0,0,0,0,0,1,1.5\n");
+  expect_error(made.path(), ErrorCode::kInvalid, "environment.csv:2", "not within 0..1");
+}
+
+TEST(CaptureFolder, APoseThatIsOldSaysHowMuchOfWhatIsVirtualShows) {
+  const HandMade made;
+  write_text(made.path() / "environment.csv",
+             "file,time_s,exposure_s,gain,tx,ty,tz,qx,qy,qz,qw,opacity\n"
+             "environment/0.png,0,1,1,0,0,0,0,0,0,1,0.25\n");
+  const auto source = open_capture_folder(made.path());
+  ASSERT_TRUE(source) << source.error().detail;
+  const auto first = (*source)->next();
+  ASSERT_TRUE(first && *first);
+  EXPECT_EQ((*first)->opacity, .25f);
 }
 
 TEST(CaptureFolder, RefusesMissingFiles) {

@@ -66,6 +66,8 @@ Frame frame(int camera, std::uint64_t sequence, double time_s, FramePixels pixel
             {},
             std::make_shared<const FramePixels>(std::move(pixels))};
   out.world_from_camera.translation.x = .001 * static_cast<double>(sequence);
+  // Some poses are old: a replay that showed all of what is virtual would let it float.
+  if (sequence % 4 == 3) out.opacity = sequence % 8 == 3 ? .3f : 0;
   return out;
 }
 
@@ -87,6 +89,7 @@ void expect_same_label(const Frame& a, const Frame& b) {
   EXPECT_EQ(a.exposure.gain.value(), b.exposure.gain.value());
   EXPECT_EQ(a.world_from_camera.translation, b.world_from_camera.translation);
   EXPECT_EQ(a.world_from_camera.rotation, b.world_from_camera.rotation);
+  EXPECT_EQ(a.opacity, b.opacity);
 }
 
 class RecordingTest : public testing::Test {

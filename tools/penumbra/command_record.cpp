@@ -35,6 +35,7 @@ std::string line_of(const std::vector<capture::CameraInfo>& cameras,
     const auto tell = [&](std::uint64_t count, const char* what) {
       if (count > 0) text += fmt::format(" ({} {})", count, what);
     };
+    tell(counts.faded[i], "without a fresh pose");
     tell(counts.dropped[i], "dropped");
     if (counts.cameras.empty()) continue;
     const capture::CameraCounts& c = counts.cameras[i];
@@ -51,6 +52,7 @@ nlohmann::json to_json(const std::vector<capture::CameraInfo>& cameras,
     const auto c = counts.cameras.empty() ? capture::CameraCounts{} : counts.cameras[i];
     list.push_back({{"name", cameras[i].name},
                     {"frames", counts.frames[i]},
+                    {"faded", counts.faded[i]},
                     {"dropped", counts.dropped[i]},
                     {"lost", c.lost},
                     {"damaged", c.damaged},
