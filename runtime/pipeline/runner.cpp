@@ -21,6 +21,7 @@
 #include "lighting/light_estimate.h"
 #include "lighting/lights/distant_light.h"
 #include "lighting/saturation_recovery.h"
+#include "runtime/pipeline/eye_moments.h"
 #include "runtime/pipeline/internal/frame_budget.h"
 #include "runtime/pipeline/internal/frame_mailbox.h"
 #include "runtime/pipeline/internal/view_mailbox.h"
@@ -192,6 +193,8 @@ Result<RunCounts> run_replay(capture::FrameSource& source, LightEstimationStage&
                              CompositeStage& compose, const Sink& sink, StageTimes& times) {
   RunCounts counts;
   Replay replay(source, light, compose, sink, counts);
+  EyeMoments moments(source.cameras(),
+                     Seconds(source.view_rate() > 0 ? 1 / source.view_rate() : 0));
   const auto start = Clock::now();
   while (replay.go_on()) {
     auto frame = [&] {
@@ -206,9 +209,12 @@ Result<RunCounts> run_replay(capture::FrameSource& source, LightEstimationStage&
     }
     if (is_foreground(source, **frame)) PENUMBRA_TRY(replay.add_foreground(**frame));
     if (light.takes((*frame)->camera)) PENUMBRA_TRY(replay.add_environment(**frame));
-    if (is_view(source, **frame)) PENUMBRA_TRY(replay.add_view(**frame));
+    if (!is_view(source, **frame)) continue;
+    moments.number(**frame);
+    PENUMBRA_TRY(replay.add_view(**frame));
   }
   PENUMBRA_TRY(replay.end());
+  counts.overtaken.unmatched_eyes = moments.unmatched();
   counts.seconds = since(start);
   counts.exposures = static_cast<int>(light.exposures());
   PENUMBRA_TRY(never_any_light(counts, replay.last_unusable()));

@@ -4,6 +4,8 @@
 
 #include <vector>
 
+#include "runtime/pipeline/eye_moments.h"
+
 namespace penumbra::runtime {
 namespace {
 
@@ -100,6 +102,41 @@ TEST_F(ViewMailboxes, AnEyeWhoseCameraIsGoneGoesOnAlone) {
   box_.put(frame_of(2, 641));
   box_.put(frame_of(0, 640));
   EXPECT_EQ(cameras_of(take()), (std::vector{0, 2}));
+}
+
+// A player that loops, a machine that slept.
+TEST_F(ViewMailboxes, APauseOfBothEyesTearsNoPair) {
+  for (const double start : {0., 900., 2500.})
+    for (int n = 0; n < 3; ++n) {
+      box_.put(frame_of(0, start + 20 * n));
+      box_.put(frame_of(2, start + 20 * n + .3));
+      EXPECT_EQ(take().size(), 2u) << start << ' ' << n;
+    }
+  EXPECT_EQ(box_.unmatched(), 0u);
+}
+
+TEST(EyeMoments, BothEyesOfAMomentHaveItsNumberThoughOthersAreMissing) {
+  EyeMoments moments(stereo_cameras(), Seconds(.02));
+  EXPECT_TRUE(moments.paired());
+  std::vector<std::uint64_t> left, right;
+  for (int n = 0; n < 6; ++n) {
+    if (n != 4) left.push_back(moments.number(frame_of(0, 20 * n)));
+    if (n != 1 && n != 2) right.push_back(moments.number(frame_of(2, 20 * n + 3)));
+    moments.number(frame_of(1, 20 * n + 5));  // the surroundings have their own
+  }
+  EXPECT_EQ(left, (std::vector<std::uint64_t>{0, 1, 2, 3, 5}));
+  EXPECT_EQ(right, (std::vector<std::uint64_t>{0, 3, 4, 5}));
+  EXPECT_EQ(moments.unmatched(), 3u);
+}
+
+TEST(EyeMoments, CamerasThatAreNoPairCountTheirOwnFrames) {
+  std::vector<capture::CameraInfo> cameras(2);
+  for (capture::CameraInfo& c : cameras) c.role = capture::Role::kView;
+  EyeMoments moments(cameras, Seconds(0));
+  EXPECT_EQ(moments.number(frame_of(0, 0)), 0u);
+  EXPECT_EQ(moments.number(frame_of(0, 1)), 1u);
+  EXPECT_EQ(moments.number(frame_of(1, 2)), 0u);
+  EXPECT_EQ(moments.unmatched(), 0u);
 }
 
 TEST_F(ViewMailboxes, CamerasThatAreNoPairGoEachByItself) {

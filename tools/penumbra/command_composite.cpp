@@ -7,6 +7,7 @@
 #include "capture/recording/undamaged_frames.h"
 #include "core/io/files.h"
 #include "core/threads/stop_signal.h"
+#include "runtime/pipeline/eye_moments.h"
 #include "runtime/pipeline/pipeline.h"
 #include "runtime/pipeline/report.h"
 #include "tools/common/command.h"
@@ -58,7 +59,8 @@ class PartOfCapture final : public capture::FrameSource {
   bool ended_ = false;
 };
 
-// The first view camera's frames are frame_000000.png; a second eye carries its name.
+// The first view camera's frames are frame_000000.png; a second eye carries its name. Eyes of one
+// moment have one number.
 std::string still_name(const capture::CameraInfo& camera, bool first, std::uint64_t number) {
   return first ? fmt::format("frame_{:06}.png", number)
                : fmt::format("frame_{}_{:06}.png", camera.eye.empty() ? camera.name : camera.eye,
@@ -126,11 +128,11 @@ Result<void> composite(const CompositeOptions& o) {
                                   pipeline.timings()));
 
   const auto view = std::ranges::find(cameras, capture::Role::kView, &capture::CameraInfo::role);
-  std::vector<std::uint64_t> written(cameras.size());
+  runtime::EyeMoments moments(cameras, Seconds(rate > 0 ? 1 / rate : 0));
   const auto write = [&](const runtime::Output& out) {
     const bool first = out.source.camera == view - cameras.begin();
     const auto camera = static_cast<std::size_t>(out.source.camera);
-    const std::string name = still_name(cameras[camera], first, written[camera]++);
+    const std::string name = still_name(cameras[camera], first, moments.number(out.source));
     const auto eye = std::ranges::find(in_video, out.source.camera);
     std::optional<FrameWriter::InVideo> place;
     if (eye != in_video.end()) place = {out.source.time, static_cast<int>(eye - in_video.begin())};

@@ -115,7 +115,8 @@ class ViewMailbox : public Closable {
 
   void match(Group& group, std::size_t eye, capture::Frame frame) {
     const TimestampNs time = frame.time;
-    group.last[eye] = time;
+    // Gone while this eye came: where both paused, the other one is on its way.
+    const auto before = std::exchange(group.last[eye], time);
     unmatched_ += group.arriving[eye].has_value();
     group.arriving[eye] = std::move(frame);
     auto& other = group.arriving[1 - eye];
@@ -130,7 +131,7 @@ class ViewMailbox : public Closable {
         return group.arriving[eye].reset();
     }
     if (!first_) first_ = time;
-    if (time - group.last[1 - eye].value_or(*first_) > kGone) {
+    if (before && *before - group.last[1 - eye].value_or(*first_) > kGone) {
       ++unmatched_;
       hand_on(group, std::move(group.arriving));
     }
