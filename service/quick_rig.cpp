@@ -100,6 +100,9 @@ Result<RigConfig> quick_rig(const QuickStart& quick) {
   RigConfig c;
   const bool films = quick.source.empty() || quick.source.starts_with("/dev/") ||
                      quick.source.starts_with("libcamera:");
+  if (!films && !quick.lens.empty())
+    return fail(ErrorCode::kInvalid, "--lens",
+                "is of a camera that is filmed with: a recording says its own camera's lens");
   c.source = films ? "cameras" : quick.source;
   if (films) {
     PENUMBRA_ASSIGN(camera, quick_camera(quick));

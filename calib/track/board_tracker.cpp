@@ -209,21 +209,25 @@ std::optional<SolvedPose> BoardTracker::Impl::fit(std::vector<FoundCorner>& corn
   return solved;
 }
 
-// Corners to sub-pixels around a pose, twice where the first time misses many.
+// Corners to sub-pixels around a pose, again where that misses many or moves them far: windows that
+// are off by some pixels find neighbours' edges, which agree on a pose that lags behind.
 std::optional<BoardTracker::Impl::Found> BoardTracker::Impl::refine(const Pose& start,
                                                                     TimestampNs time) {
-  constexpr double kMost = .7, kAgree = .5;
+  constexpr double kMost = .7, kAgree = .5, kSettled_px = 1;
+  constexpr int kPasses = 4;
   Pose pose = start;
   std::optional<SolvedPose> solved;
   std::vector<Sighting> points;
   std::size_t main = 0;
-  for (int pass = 0; pass < 2; ++pass) {
+  for (int pass = 0; pass < kPasses; ++pass) {
     CornerSearch corners = find_corners(grey, lens, boards, pose);
     if (std::ssize(corners.found) < kFewestCorners) return std::nullopt;
     solved = fit(corners.found, pose, points, main);
     if (!solved) return std::nullopt;
     pose = solved->world_from_camera;
-    if (static_cast<double>(solved->used) > kMost * corners.expected) break;
+    if (corners.moved_px < kSettled_px &&
+        (static_cast<double>(solved->used) > kMost * corners.expected || pass > 0))
+      break;
   }
   if (solved->used < kFewestCorners || solved->used < kAgree * static_cast<double>(points.size()))
     return std::nullopt;

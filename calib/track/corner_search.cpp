@@ -8,6 +8,8 @@
 #include <opencv2/aruco.hpp>
 #include <opencv2/imgproc.hpp>
 
+#include "core/median.h"
+
 namespace penumbra::calib {
 
 namespace {
@@ -91,9 +93,9 @@ glm::dvec2 inward_of(const BoardView2D& view, const BoardLayout& layout,
              along = view.pixel(point.at_m + glm::dvec2(layout.clear_m * side.x, 0)),
              across = view.pixel(point.at_m + glm::dvec2(0, layout.clear_m * side.y));
   if (!at || !along || !across) return glm::dvec2(0);
-  const glm::dvec2 sum = glm::normalize(*along - *at) + glm::normalize(*across - *at);
-  const double length = glm::length(sum);
-  return length > 1e-3 ? sum / length : glm::dvec2(0);
+  const glm::dvec2 a = glm::normalize(*along - *at), b = glm::normalize(*across - *at);
+  const double sine = std::abs(a.x * b.y - a.y * b.x);
+  return sine > .1 ? (a + b) / sine : glm::dvec2(0);
 }
 
 // Black where the layout says so, and white around it.
@@ -236,6 +238,7 @@ CornerSearch find_corners(GreyPart& grey, const CameraModel& lens,
   const glm::dvec2 centres = glm::dvec2(grey.bounds().left, grey.bounds().top) + .5;
   std::vector<cv::Point2f> corners;
   std::vector<const Expected*> those;
+  std::vector<double> moved;
   for (int window = kSmallestWindow; window <= kLargestWindow; ++window) {
     corners.clear(), those.clear();
     for (const Expected& e : expected) {
@@ -261,11 +264,13 @@ CornerSearch find_corners(GreyPart& grey, const CameraModel& lens,
       if (!looks_right(grey, views[found.board], board.layout, board.layout.points[found.point],
                        shift))
         continue;
+      moved.push_back(glm::length(shift));
       found.pixel = at;
       found.inward = inward_of(views[found.board], board.layout, board.layout.points[found.point]);
       out.found.push_back(found);
     }
   }
+  if (!moved.empty()) out.moved_px = median(moved);
   return out;
 }
 
@@ -277,11 +282,10 @@ void take_back_rounding(const CameraModel& lens, std::span<const LaidBoard> boar
   for (const FoundCorner& c : corners)
     if (c.inward != glm::dvec2(0))
       if (const auto at = views[c.board].pixel(boards[c.board].layout.points[c.point].at_m))
-        inside.push_back(glm::dot(c.pixel - *at, c.inward));
+        inside.push_back(glm::dot(c.pixel - *at, c.inward) / glm::dot(c.inward, c.inward));
   if (inside.empty()) return;
-  const auto middle = inside.begin() + std::ssize(inside) / 2;
-  std::ranges::nth_element(inside, middle);
-  for (FoundCorner& c : corners) c.pixel -= *middle * c.inward;
+  const double middle = median(inside);
+  for (FoundCorner& c : corners) c.pixel -= middle * c.inward;
 }
 
 GreyPart::GreyBounds bounds_of(const CameraModel& lens, std::span<const LaidBoard> boards,

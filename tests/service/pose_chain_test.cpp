@@ -252,6 +252,9 @@ TEST(QuickRig, IsACameraABoardAndAnObjectOnItsMiddle) {
   EXPECT_EQ(nowhere.error().code, ErrorCode::kNotFound);
   EXPECT_FALSE(quick_rig({.source = "film.mkv", .board = "charuco:8"}));
   EXPECT_FALSE(quick_rig({.source = "film.mkv", .size_m = 0}));
+  const auto lens = quick_rig({.source = "film.mkv", .lens = "nowhere.toml"});
+  ASSERT_FALSE(lens);
+  EXPECT_EQ(lens.error().where, "--lens");
 }
 
 class PoseKeys : public ::testing::Test {

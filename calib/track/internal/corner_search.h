@@ -60,19 +60,22 @@ std::vector<FoundMarking> find_markers(GreyPart& grey, std::span<const LaidBoard
 struct FoundCorner {
   std::size_t board = 0, point = 0;  // in the boards; in the layout's points
   glm::dvec2 pixel{0};
-  // Of a tag's corner: into the tag, in pixels, of length 1; of a saddle point 0
+  // Of a tag's corner: by what it moves, in pixels, where both edges move inwards by one; of a
+  // saddle point 0
   glm::dvec2 inward{0};
 };
 struct CornerSearch {
   std::vector<FoundCorner> found;
-  int expected = 0;  // that the picture should show
+  int expected = 0;     // that the picture should show
+  double moved_px = 0;  // of those found, from where the pose puts them: the median
 };
 /// To sub-pixels, near where a pose puts them. Whether their surroundings look right is checked.
 CornerSearch find_corners(GreyPart& grey, const CameraModel& lens,
                           std::span<const LaidBoard> boards, const Pose& world_from_camera);
 
-/// Blur rounds the corners of tags, and what is found lies inside, all by one length. It is read
-/// off at a pose that fits well, and taken back.
+/// Blur rounds the corners of tags, and codes that are no light shift their edges: what is found
+/// lies inside, as if all edges had moved by one length, which moves acute corners farther than
+/// obtuse ones. It is read off at a pose that fits well, and taken back.
 void take_back_rounding(const CameraModel& lens, std::span<const LaidBoard> boards,
                         const Pose& world_from_camera, std::vector<FoundCorner>& corners);
 
