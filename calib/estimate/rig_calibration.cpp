@@ -108,8 +108,9 @@ struct FixedBoard {
   double weight;
   template <class T>
   bool operator()(const T* body_from_camera, const T* world_from_body, const T* world_from_board,
-                  T* residual) const {
-    const T p[3] = {T(corner.on_board.x), T(corner.on_board.y), T(corner.on_board.z)};
+                  const T* scale, T* residual) const {
+    const T p[3] = {*scale * corner.on_board.x, *scale * corner.on_board.y,
+                    *scale * corner.on_board.z};
     T in_world[3], in_body[3], in_camera[3];
     transform(world_from_board, p, in_world);
     transform_back(world_from_body, in_world, in_body);
@@ -225,7 +226,10 @@ class Adjustment {
     }
     PENUMBRA_TRY(check_fit(out));
     set_boards(out);
-    if (tracked()) out.tracker_offset_s = offset_s_;
+    if (tracked()) {
+      out.tracker_offset_s = offset_s_;
+      PENUMBRA_TRY(check_scale(out));
+    }
     PENUMBRA_TRY(add_lens_uncertainty(cameras, views));
     PENUMBRA_TRY(estimate_sigmas(out));
     return out;
@@ -285,10 +289,10 @@ class Adjustment {
       if (!used_[v]) continue;
       for (const SeenCorner& corner : o.corners) {
         if (tracked())
-          problem.AddResidualBlock(new ceres::AutoDiffCostFunction<FixedBoard, 2, 6, 6, 6>(
+          problem.AddResidualBlock(new ceres::AutoDiffCostFunction<FixedBoard, 2, 6, 6, 6, 1>(
                                        new FixedBoard{corner, weight}),
                                    loss(), cameras_[o.camera].data(), moments_[o.moment].data(),
-                                   world_from_board_.data());
+                                   world_from_board_.data(), &board_scale_);
         else
           problem.AddResidualBlock(
               new ceres::AutoDiffCostFunction<FreeBoard, 2, 6, 6>(new FreeBoard{corner, weight}),
@@ -300,6 +304,8 @@ class Adjustment {
         problem.SetParameterBlockConstant(cameras_[0].data());
       return;
     }
+    if (!scale_is_free_ && problem.HasParameterBlock(&board_scale_))
+      problem.SetParameterBlockConstant(&board_scale_);
     for (std::size_t m = 0; m < moments_.size(); ++m) {
       if (!problem.HasParameterBlock(moments_[m].data())) continue;
       const TrackerReading now = read_tracker(options_.tracker, start_.times_s[m] + offset_s_);
@@ -331,7 +337,7 @@ class Adjustment {
       double r[2];
       if (tracked())
         FixedBoard{corner, 1}(cameras_[o.camera].data(), moments_[o.moment].data(),
-                              world_from_board_.data(), r);
+                              world_from_board_.data(), &board_scale_, r);
       else
         FreeBoard{corner, 1}(cameras_[o.camera].data(), moments_[o.moment].data(), r);
       sum += r[0] * r[0] + r[1] * r[1];
@@ -374,6 +380,37 @@ class Adjustment {
                       "its metres and quaternions (x, y, z, w) and the size in --board right, and "
                       "did the board stand still?",
                       sigmas));
+    return {};
+  }
+  // The tracker's metres are a second measure of the board: solved anew with its size left open.
+  Result<void> check_scale(RigCalibration& out) const {
+    constexpr double kMaxOff = .01, kMaxSigmas = 4;
+    Adjustment open = *this;
+    open.scale_is_free_ = true;
+    {
+      ceres::Problem problem;
+      open.build(problem, true);
+      if (!solve(problem)) return {};
+    }
+    open.sigma_px_ = std::max(.01, open.rms());
+    ceres::Problem problem;
+    open.build(problem, false);
+    ceres::Covariance::Options options;
+    options.algorithm_type = ceres::SPARSE_QR;
+    ceres::Covariance covariance(options);
+    const double* const scale = &open.board_scale_;
+    const std::vector<std::pair<const double*, const double*>> wanted{{scale, scale}};
+    if (!covariance.Compute(wanted, &problem)) return {};
+    double variance = 0;
+    covariance.GetCovarianceBlock(scale, scale, &variance);
+    out.board_scale = open.board_scale_;
+    out.board_scale_sigma = std::sqrt(std::max(0., variance));
+    const double off = open.board_scale_ - 1;
+    if (std::abs(off) > std::max(kMaxOff, kMaxSigmas * out.board_scale_sigma))
+      return rig_undetermined(fmt::format(
+          "by the tracker's metres the board is {:.3f} +- {:.3f} times as large as --board says: "
+          "measure its squares, or tell the tracker's unit",
+          open.board_scale_, out.board_scale_sigma));
     return {};
   }
   void set_boards(RigCalibration& out) const {
@@ -517,6 +554,8 @@ class Adjustment {
       moments_;  // rig_from_camera; rig_from_board or world_from_body
   PoseParameters world_from_board_{};
   double offset_s_ = 0, sigma_px_ = .3;
+  double board_scale_ = 1;  // over its told size
+  bool scale_is_free_ = false;
   std::vector<Observed> observed_;
   std::vector<bool> used_;
   std::vector<Covariance6> lens_part_;  // of the poses' covariances, by camera

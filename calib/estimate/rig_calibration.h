@@ -60,6 +60,9 @@ struct RigCalibration {
   // a frame of camera time t was taken at t + offset of the tracker's
   std::optional<double> tracker_offset_s;
   double tracker_offset_sigma_s = 0;
+  // With a tracker: the board's size in its metres, over the told one
+  std::optional<double> board_scale;
+  double board_scale_sigma = 0;
   double rms_px = 0;
   std::vector<std::string> left_out;  // boards whose corners contradict the rest
 };
@@ -70,7 +73,7 @@ struct RigCalibration {
 /// errors: kInvalid (no camera, a lens covariance of another size, a tracker's times out of order),
 ///         kNonFinite, kUndetermined (a camera that never sees the board together with the others,
 ///         a rig that turns about one axis alone or too slowly, boards or a tracker that contradict
-///         the rest; says what to capture instead)
+///         the rest, a board of another size by the tracker; says what to capture instead)
 Result<RigCalibration> calibrate_rig(std::span<const RigCameraInput> cameras,
                                      std::span<const RigObservation> observations,
                                      const RigOptions& options = {});

@@ -63,7 +63,7 @@ Result<std::vector<CameraInfo>> read_cameras(const toml::table& root,
 Result<std::vector<FrameRow>> read_frame_list(const std::filesystem::path& folder,
                                               const std::string& list);
 
-/// One line without its header; `with_pose` as the header says. Behind a pose an opacity may follow.
+/// One line without its header; `with_pose` as the header says, behind which an opacity may follow.
 /// errors: kInvalid, `where` is given
 Result<FrameRow> parse_row(std::string_view line, bool with_pose, const std::string& where);
 std::string print_row(const FrameRow& row);

@@ -129,8 +129,8 @@ TEST(BoardTracker, FindsALargeBoardAtTwoMetres) {
   }
 }
 
-// From the first pictures on, while nothing tells the motion yet: corners that are searched for some
-// pixels off find their neighbours' edges, and those agree on a pose that lags behind.
+// From the first pictures on, while nothing tells the motion yet: corners that are searched for
+// some pixels off find their neighbours' edges, and those agree on a pose that lags behind.
 TEST(BoardTracker, FollowsACameraThatMovesFromTheFirstPictureOn) {
   const CameraModel lens = lens_of(ProjectionKind::kPinhole, 1280, 720, 905);
   const BoardPainter painter(lens);

@@ -259,6 +259,29 @@ TEST(RigCalibration, ATrackersClockAndPlaceAreFound) {
   }
 }
 
+// Printed "to fit the page", or told in another unit: corners agree with each other as ever, and
+// the camera's place would be wrong by a hundred of its stated sigmas.
+TEST(RigCalibration, ABoardOfAnotherSizeIsToldByTheTrackersMetres) {
+  for (const double factor : {1., 1.03, .97}) {
+    Scene scene = moving_rig(7);
+    for (RigObservation& o : scene.views)
+      for (glm::dvec2& p : o.view.on_board_m) p *= factor;
+    RigOptions options;
+    options.tracker = scene.tracker;
+    const auto found = calibrate_rig(lenses(), scene.views, options);
+    if (factor == 1.) {
+      ASSERT_TRUE(found) << found.error().detail;
+      ASSERT_TRUE(found->board_scale);
+      EXPECT_NEAR(*found->board_scale, 1, 3 * found->board_scale_sigma);
+      EXPECT_LT(found->board_scale_sigma, .004);
+    } else {
+      ASSERT_FALSE(found) << factor;
+      EXPECT_EQ(found.error().code, ErrorCode::kUndetermined);
+      EXPECT_NE(found.error().detail.find("the tracker's metres"), std::string::npos);
+    }
+  }
+}
+
 TEST(RigCalibration, TheStatedUncertaintyOfTheClockAndTheBodyCoversTheTruth) {
   int offset = 0, place = 0;
   constexpr unsigned kRuns = 200;

@@ -205,6 +205,9 @@ void print_table(const CalibrateRigOptions& o, const RigPictures& seen,
   if (c.tracker_offset_s)
     fmt::print("tracker time = camera time + {:.2f} ms +- {:.2f}\n", 1000 * *c.tracker_offset_s,
                1000 * c.tracker_offset_sigma_s);
+  if (c.board_scale)
+    fmt::print("board by the tracker's metres: {:.4f} +- {:.4f} times its told size\n",
+               *c.board_scale, c.board_scale_sigma);
   for (const std::string& name : c.left_out) fmt::print("left out: {}\n", name);
   if (some_lens_is_exact(seen))
     fmt::print("lenses are taken as exact where --lenses gives no file of calibrate camera\n");
@@ -233,6 +236,10 @@ nlohmann::json to_json(const RigPictures& seen, const calib::RigCalibration& c,
   if (c.tracker_offset_s) {
     out["tracker_offset_s"] = *c.tracker_offset_s;
     out["tracker_offset_sigma_s"] = c.tracker_offset_sigma_s;
+  }
+  if (c.board_scale) {
+    out["board_scale"] = *c.board_scale;
+    out["board_scale_sigma"] = c.board_scale_sigma;
   }
   return out;
 }
