@@ -2,6 +2,12 @@
 
 namespace penumbra::service {
 
+namespace {
+
+constexpr Seconds kPatience(2);  // in which a tracker finds its place
+
+}  // namespace
+
 // How sure a pose is no runtime tells; these are the figures of a good inside-out tracker.
 std::optional<capture::FramePose> HeadPoses::pose_of(const capture::Frame& frame) {
   constexpr double kSigma_m = .001, kSigma_rad = .002;
@@ -10,25 +16,42 @@ std::optional<capture::FramePose> HeadPoses::pose_of(const capture::Frame& frame
   const std::scoped_lock lock(mutex_);
   asked_ = frame.time;
   if (head && head->position_tracked) place_tracked_ = true;
-  // A headset that was put away, or another one, has its time to find its place again.
-  if (!head || !head->rotation_tracked) untracked_since_.reset(), turns_alone_ = false;
-  if (const std::string name = headset_->state().headset; name != name_)
+  const bool follows = head && head->rotation_tracked;
+  if (follows)
+    gone_since_.reset();
+  else if (!gone_since_)
+    gone_since_ = frame.time;
+  // A headset that was put away, or another one, has its time to find its place again. One that a
+  // busy machine heard nothing of for some frames has not.
+  if (gone_since_ && frame.time - *gone_since_ >= kPatience) start_anew();
+  if (const std::string name = headset_->state().headset; name != name_) {
     name_ = name, place_tracked_ = head && head->position_tracked;
+    start_anew();
+  }
   // What the runtime makes up while it does not see would let objects drift.
-  if (!head || !head->rotation_tracked ||
-      (!head->position_tracked && !follows_turns_alone(frame.time))) {
+  if (!follows || (!head->position_tracked && !follows_turns_alone(frame.time))) {
     ++missed_;
+    missing_ = !head      ? "the runtime tells no pose of the head for the time of the picture"
+               : !follows ? "the headset does not track how it is turned"
+               : place_tracked_
+                   ? "the headset has lost its place"
+                   : "the headset does not track where it is: waits whether it finds its place";
     return std::nullopt;
   }
   ++taken_;
+  missing_ = {};
   last_ = frame.time;
   return capture::FramePose{head->world_from_device,
                             head->position_tracked ? kSigma_m : kSigmaUntracked_m, kSigma_rad,
                             Seconds(0)};
 }
 
+void HeadPoses::start_anew() {
+  untracked_since_.reset();
+  turns_alone_ = false;
+}
+
 bool HeadPoses::follows_turns_alone(TimestampNs time) {
-  constexpr Seconds kPatience(2);  // in which a tracker finds its place
   if (place_tracked_) return false;
   if (!untracked_since_) untracked_since_ = time;
   return turns_alone_ = time - *untracked_since_ >= kPatience;
@@ -45,6 +68,7 @@ capture::PoseSourceState HeadPoses::state() const {
   out.trouble = headset.trouble;
   if (out.trouble.empty() && turns_alone_ && !place_tracked_)
     out.trouble = "the headset does not track where it is, only how it is turned";
+  if (headset.trouble.empty() && !missing_.empty()) out.trouble = missing_;
   return out;
 }
 

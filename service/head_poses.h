@@ -7,6 +7,7 @@
 #include <mutex>
 #include <optional>
 #include <string>
+#include <string_view>
 
 #include "capture/poses/pose_source.h"
 #include "service/headset/headset.h"
@@ -25,12 +26,15 @@ class HeadPoses : public capture::PoseSource {
 
  private:
   std::shared_ptr<const Headset> headset_;
-  bool follows_turns_alone(TimestampNs time);  // with mutex_ held
+  bool follows_turns_alone(TimestampNs time);  // with mutex_ held, as the next
+  void start_anew();
 
   mutable std::mutex mutex_;
   std::uint64_t taken_ = 0, missed_ = 0;  // guarded by mutex_, as is all below
   std::optional<TimestampNs> last_, asked_;
   std::optional<TimestampNs> untracked_since_;  // the place alone, and never tracked before
+  std::optional<TimestampNs> gone_since_;       // no turn either, frame after frame
+  std::string_view missing_;                    // why the last frame got no pose
   bool turns_alone_ = false;                    // that place is taken
   bool place_tracked_ = false;                  // it was at least once, of this headset
   std::string name_;                            // of the headset
