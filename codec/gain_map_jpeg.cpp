@@ -148,20 +148,55 @@ float threshold(int x, int y, int channel) {
   return static_cast<float>(v - std::floor(v));
 }
 
+// A gain below the map's low end, and the light with its offset before and after it.
+struct CutGain {
+  float gain, base, lit;
+  std::size_t channel;
+};
+
+// Lower, where the light that cut gains leave standing would be seen in a channel's sum: the ringing
+// of the base around a lamp on black is more light than the lamp has in its weakest channel.
+float low_end_for_light(const std::vector<CutGain>& cut, const std::array<double, 3>& light,
+                        float low) {
+  constexpr double kMaxAdded = .003;  // of a channel's light
+  constexpr float kStep = .25f;       // stops
+  if (cut.empty()) return low;
+  const float lowest = std::ranges::min_element(cut, {}, &CutGain::gain)->gain;
+  for (;; low = std::max(low - kStep, lowest)) {
+    std::array<double, 3> added{};
+    for (const CutGain& g : cut)
+      if (g.gain < low) added[g.channel] += double{g.base} * std::exp2(double{low}) - double{g.lit};
+    bool small = true;
+    for (std::size_t c = 0; c < 3; ++c) small &= added[c] <= kMaxAdded * light[c];
+    if (small || low <= lowest) return low;
+  }
+}
+
 CodedGains gains_between(const Image<Rgb>& base, const Image<Rgb>& radiance) {
   CodedGains out{{}, exposure_between(radiance, base), Image<Rgb8>(base.width(), base.height())};
   Image<Rgb> log2(base.width(), base.height());
   float high = -1e30f;
+  std::array<double, 3> light{};
+  const auto lit_at = [&](std::size_t i, int c) {
+    return std::clamp(radiance.pixels()[i][c], 0.f, kBrightest / out.exposure) * out.exposure;
+  };
   for (std::size_t i = 0; i < base.area(); ++i)
     for (int c = 0; c < 3; ++c) {
-      const float lit =
-          std::clamp(radiance.pixels()[i][c], 0.f, kBrightest / out.exposure) * out.exposure;
+      const float lit = lit_at(i, c);
       const float gain =
           std::log2((lit + kSmallestOffset) / (base.pixels()[i][c] + kSmallestOffset));
+      light[static_cast<std::size_t>(c)] += double{lit};
       log2.pixels()[i][c] = gain;
       high = std::max(high, gain);
     }
-  const float low = std::min(low_end(log2), high - .01f);
+  const float most_of_all = low_end(log2);
+  std::vector<CutGain> cut;
+  for (std::size_t i = 0; i < base.area(); ++i)
+    for (int c = 0; c < 3; ++c)
+      if (log2.pixels()[i][c] < most_of_all)
+        cut.push_back({log2.pixels()[i][c], base.pixels()[i][c] + kSmallestOffset,
+                       lit_at(i, c) + kSmallestOffset, static_cast<std::size_t>(c)});
+  const float low = std::min(low_end_for_light(cut, light, most_of_all), high - .01f);
   out.map.min_log2.fill(low), out.map.max_log2.fill(high);
   out.map.base_offset.fill(kSmallestOffset), out.map.offset.fill(kSmallestOffset);
   for (int y = 0; y < base.height(); ++y)

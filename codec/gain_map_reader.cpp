@@ -19,6 +19,7 @@
 #include "codec/gain_map_jpeg.h"
 #include "codec/internal/frame_header.h"
 #include "codec/internal/gain_map.h"
+#include "codec/internal/icc_profile.h"
 #include "core/io/files.h"
 
 namespace penumbra::codec {
@@ -239,53 +240,40 @@ std::optional<FoundGainMap> find_gain_map(Bytes file, const std::vector<Segment>
   return {};
 }
 
-// Columns: the tristimulus values of red, green and blue at the profile's white, D50.
-// source: ICC.1:2022, 9.2.46 and neighbours; of sRGB: IEC 61966-2-1 adapted by Bradford's matrix
-using Primaries = glm::dmat3;
-const Primaries kRec709D50{.4360747, .2225045, .0139322, .3850649, .7168786,
-                           .0971045, .1430804, .0606169, .7141733};
+// Of sRGB: IEC 61966-2-1 adapted to D50 by Bradford's matrix.
+const glm::dmat3 kRec709D50{.4360747, .2225045, .0139322, .3850649, .7168786,
+                            .0971045, .1430804, .0606169, .7141733};
 
-std::optional<Primaries> primaries_of(const std::vector<Segment>& segments) {
-  constexpr std::size_t kTags = 128;
-  constexpr std::array<std::uint32_t, 3> kColorants{0x7258595a, 0x6758595a, 0x6258595a};  // rXYZ ..
+// All of it: a long one goes on in the segments behind. Empty without one.
+std::vector<unsigned char> icc_of(const std::vector<Segment>& segments) {
+  std::vector<unsigned char> out;
   for (const Segment& s : segments) {
     if (s.marker != 0xe2 || !s.starts_with(kIccHead) || s.data.size() < kIccHead.size() + 2)
       continue;
-    detail::Numbers in{s.after(kIccHead).subspan(2)};  // its number, and of how many
-    Primaries out(0);
-    int found = 0;
-    const std::size_t count = std::min<std::size_t>(in.at(kTags, 4), 100);
-    for (std::size_t i = 0; i < count && in.ok; ++i) {
-      const std::size_t entry = kTags + 4 + 12 * i;
-      const auto colour = std::ranges::find(kColorants, in.at(entry, 4));
-      if (colour == kColorants.end()) continue;
-      const std::size_t at = in.at(entry + 4, 4);
-      for (int k = 0; k < 3; ++k)
-        out[static_cast<int>(colour - kColorants.begin())][k] =
-            static_cast<std::int32_t>(in.at(at + 8 + 4 * static_cast<std::size_t>(k), 4)) / 65536.;
-      ++found;
-    }
-    if (in.ok && found == 3) return out;
+    const Bytes part = s.after(kIccHead).subspan(2);  // behind its number, and of how many
+    out.insert(out.end(), part.begin(), part.end());
   }
-  return {};
+  return out;
 }
 
-// Of a picture without a profile: Rec.709. The same where profiles round.
-Primaries primaries_or_rec709(const std::vector<Segment>& segments) {
-  return primaries_of(segments).value_or(kRec709D50);
+// Of a picture without a profile: sRGB.
+Result<IccProfile> profile_or_srgb(const std::vector<Segment>& segments) {
+  const std::vector<unsigned char> icc = icc_of(segments);
+  if (icc.empty()) return IccProfile{kRec709D50, {linear_codes(), linear_codes(), linear_codes()}};
+  return parse_icc_profile(icc);
 }
-bool are_same(const Primaries& a, const Primaries& b) {
+// The same where profiles round.
+bool are_same(const glm::dmat3& a, const glm::dmat3& b) {
   double apart = 0;
   for (int i = 0; i < 3; ++i)
     for (int k = 0; k < 3; ++k) apart = std::max(apart, std::abs(a[i][k] - b[i][k]));
   return apart < .003;
 }
 
-// To Rec.709; nothing where the base already is.
-std::optional<glm::mat3> to_rec709(const std::vector<Segment>& segments) {
-  const Primaries own = primaries_or_rec709(segments);
-  if (are_same(own, kRec709D50)) return {};
-  return glm::mat3(glm::inverse(kRec709D50) * own);
+// Nothing where they are Rec.709's.
+std::optional<glm::mat3> to_rec709(const glm::dmat3& primaries) {
+  if (are_same(primaries, kRec709D50)) return {};
+  return glm::mat3(glm::inverse(kRec709D50) * primaries);
 }
 
 // Between the four nearest pixels of a map that may be smaller than the base.
@@ -337,24 +325,29 @@ Result<HdrImage> decode_gain_map_jpeg(std::span<const unsigned char> jpeg,
   const GainMap& map = found->map;
   if (map.base_is_hdr)
     return fail(ErrorCode::kInvalid, name, "has a gain map from a base that is the brighter one");
-  if (!map.in_base_primaries &&
-      !are_same(primaries_or_rec709(segments), primaries_or_rec709(segments_of(found->picture))))
-    return fail(ErrorCode::kInvalid, name, "has a gain map in other primaries than its base");
+  const auto profile = profile_or_srgb(segments);
+  if (!profile) return fail(ErrorCode::kInvalid, name, profile.error().detail);
+  if (!map.in_base_primaries) {
+    const auto of_map = profile_or_srgb(segments_of(found->picture));
+    if (!of_map) return fail(ErrorCode::kInvalid, name, "gain map " + of_map.error().detail);
+    if (!are_same(profile->primaries, of_map->primaries))
+      return fail(ErrorCode::kInvalid, name, "has a gain map in other primaries than its base");
+  }
   PENUMBRA_ASSIGN(base, decode_picture(jpeg, name));
   PENUMBRA_ASSIGN(codes, decode_picture(found->picture, name + ", gain map"));
   const auto exposure = xmp_numbers(xmp_of(segments), "penumbra:Exposure");
   const float scale = exposure && std::isnormal(1 / (*exposure)[0]) ? 1 / (*exposure)[0] : 1;
-  const auto rec709 = to_rec709(segments);
-  const std::array<float, 256> linear = linear_codes();
+  const auto rec709 = to_rec709(profile->primaries);
+  const auto& linear = profile->linear;
   const ScaledCodes gains(codes, base.width(), base.height());
   HdrImage out{Image<Rgb>(base.width(), base.height()), 0, {}, {}};
   for (int y = 0; y < base.height(); ++y)
     for (int x = 0; x < base.width(); ++x) {
       const Rgb code = gains.at(x, y);
       const Rgb8& shown = base.at(x, y);
-      glm::vec3 lit(map.radiance(0, linear[shown.r], code.r),
-                    map.radiance(1, linear[shown.g], code.g),
-                    map.radiance(2, linear[shown.b], code.b));
+      glm::vec3 lit(map.radiance(0, linear[0][shown.r], code.r),
+                    map.radiance(1, linear[1][shown.g], code.g),
+                    map.radiance(2, linear[2][shown.b], code.b));
       if (rec709) lit = *rec709 * lit;
       lit = glm::max(lit, glm::vec3(0)) * scale;
       out.pixels.at(x, y) = {lit.x, lit.y, lit.z};

@@ -297,6 +297,62 @@ TEST(GainMapJpeg, ABaseInDisplayP3ComesInRec709) {
   EXPECT_NE(mixed.error().detail.find("primaries"), std::string::npos);
 }
 
+std::string fixed16(double v) {
+  return be32(static_cast<std::uint32_t>(static_cast<std::int32_t>(std::lround(v * 65536))));
+}
+
+// Of Rec.709 with one curve for all channels.
+Bytes profile_with_curve(const std::string& curve) {
+  constexpr std::array<std::array<double, 3>, 3> colorants{
+      {{.43607, .22250, .01393}, {.38506, .71688, .09710}, {.14308, .06062, .71417}}};
+  std::string icc(128, '\0'), data;
+  const auto begin = static_cast<std::uint32_t>(128 + 4 + 6 * 12);
+  icc += be32(6);
+  for (std::size_t c = 0; c < 3; ++c) {
+    icc += std::string(1, "rgb"[c]) + "XYZ" +
+           be32(begin + static_cast<std::uint32_t>(data.size())) + be32(20);
+    data += "XYZ " + be32(0);
+    for (const double v : colorants[c]) data += fixed16(v);
+  }
+  for (const char channel : {'r', 'g', 'b'})
+    icc += std::string(1, channel) + "TRC" + be32(begin + static_cast<std::uint32_t>(data.size())) +
+           be32(static_cast<std::uint32_t>(curve.size()));
+  return segment(0xe2, std::string("ICC_PROFILE\0", 12) + "\x01\x01" + icc + data + curve);
+}
+
+// Taken for sRGB, a picture of gamma 1.8 is a third off in the middle.
+TEST(GainMapJpeg, TheToneCurveOfTheBasesProfileIsFollowed) {
+  const Bytes gains = with_segment(
+      jpeg_of(even(16, 16, {255, 255, 255})),
+      segment(0xe1, xmp("<rdf:Description hdrgm:GainMapMax=\"1\" hdrgm:OffsetSDR=\"0\" "
+                        "hdrgm:OffsetHDR=\"0\"/>")));
+  const auto lit = [&](const std::string& curve) {
+    return decode_gain_map_jpeg(
+        file_of(with_segment(jpeg_of(even(16, 16, {150, 150, 150})), profile_with_curve(curve)),
+                gains),
+        "grey");
+  };
+  const double x = 150 / 255.;
+  std::string table = "curv" + be32(0) + be32(3);  // x squared, roughly
+  for (const int v : {0, 16384, 65535}) table += {static_cast<char>(v >> 8), static_cast<char>(v)};
+  const std::string srgb = "para" + be32(0) + be32(3 << 16) + fixed16(2.4) + fixed16(1 / 1.055) +
+                           fixed16(.055 / 1.055) + fixed16(1 / 12.92) + fixed16(.04045);
+  const std::vector<std::pair<std::string, double>> curves = {
+      {"curv" + be32(0) + be32(0), x},
+      {"curv" + be32(0) + be32(1) + std::string("\x01\xcd", 2), std::pow(x, 461 / 256.)},
+      {table, .25 + .75 * (2 * x - 1)},
+      {"para" + be32(0) + be32(0) + fixed16(2.2), std::pow(x, 2.2)},
+      {srgb, double{linear(150)}}};
+  for (const auto& [curve, light] : curves) {
+    const auto found = lit(curve);
+    ASSERT_TRUE(found) << found.error().detail;
+    for (int c = 0; c < 3; ++c) EXPECT_NEAR(found->pixels.at(8, 8)[c] / (2 * light), 1, .01);
+  }
+  for (const std::string& bad : {std::string("mft2") + be32(0) + be32(0),
+                                 "curv" + be32(0) + be32(1000), "para" + be32(0) + be32(9 << 16)})
+    EXPECT_FALSE(lit(bad));
+}
+
 TEST(GainMapJpeg, WhatIsNoGainMapIsRefusedByItsReason) {
   const Bytes plain = jpeg_of(even(16, 16, {188, 188, 188}));
   const auto none = decode_gain_map_jpeg(plain, "plain.jpg");

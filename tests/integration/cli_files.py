@@ -83,6 +83,16 @@ def write_sun_hdr(path, width, height, sun):
     Path(path).write_bytes(head + bytes(pixels))
 
 
+def write_lamp_hdr(path, width, height, lamp):
+    """Black but for one pixel, as flat RGBE."""
+    exponent = math.frexp(max(lamp))[1]
+    pixels = bytearray(4 * width * height)
+    at = 4 * (height // 2 * width + width // 2)
+    pixels[at:at + 4] = bytes([int(v * 256 / 2 ** exponent) for v in lamp] + [exponent + 128])
+    head = f"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y {height} +X {width}\n".encode()
+    Path(path).write_bytes(head + bytes(pixels))
+
+
 def write_card_hdr(path, width, height, card, wall):
     """A grey card over the left eighth, a grey wall over the rest, as flat RGBE."""
     def pixel(grey):

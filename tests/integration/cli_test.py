@@ -795,6 +795,29 @@ class Tonemap(CliTest):
         self.show("sun.hdr", "--operator", "bilateral", "--detail", detail)
         self.assertEqual(files.read_png(detail)[:2], (64, 32))
 
+    def test_a_flag_of_another_operator_is_refused(self):
+        for operator, flag, value in (("filmic", "--steps", 4), ("bilateral", "--contrast", 2),
+                                      ("filmic", "--saturation", 0), ("level-set", "--white", 4)):
+            self.expect_refusal([flag, operator], "tonemap", self.root / "even.hdr", "-o", self.root / "no.png",
+                                "--operator", operator, flag, value)
+
+    def test_compare_counts_what_is_black_in_one_and_takes_codes_for_what_they_show(self):
+        files.write_lamp_hdr(self.root / "dark.hdr", 64, 32, (1, 1, 1))
+        found = self.run_json("compare", self.root / "dark.hdr", self.root / "even.hdr")
+        self.assertEqual((found["black_in_one"], found["compared_pixels"]), (64 * 32 - 1, 64 * 32))
+        files.write_png(self.root / "codes.png", 64, 32, lambda x, y: (255, 188, 137))  # sRGB of 1, .5, .25
+        found = self.run_json("compare", self.root / "codes.png", self.root / "even.hdr")
+        self.assertLess(found["rel_rmse"], .01)
+        self.assertLess(found["log10_rmse"], .005)
+
+    def test_a_gain_map_that_loses_light_says_so(self):
+        files.write_lamp_hdr(self.root / "lamp.hdr", 256, 128, (1000, 300, 10))
+        done = self.run_program("tonemap", self.root / "lamp.hdr", "-o", self.root / "lamp.jpg", "--gain-map")
+        self.assertEqual(done.returncode, 0, done.stderr)
+        self.assertRegex(done.stderr, r"warning: .*lamp.jpg: the light of a channel comes back off by \d+ %")
+        done = self.run_program("tonemap", self.root / "sun.hdr", "-o", self.root / "sun.jpg", "--gain-map")
+        self.assertNotIn("warning", done.stderr)
+
     def test_a_gain_map_lights_as_the_picture_that_it_was_made_of(self):
         lit = self.root / "sun.jpg"
         self.run_json("tonemap", self.root / "sun.hdr", "-o", lit, "--gain-map")

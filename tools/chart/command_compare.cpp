@@ -13,6 +13,7 @@
 #include "codec/gain_map_jpeg.h"
 #include "core/conventions.h"
 #include "core/io/files.h"
+#include "core/io/log.h"
 #include "runtime/pipeline/report.h"
 #include "tools/chart/benches/chart_bench.h"
 #include "tools/chart/commands.h"
@@ -72,6 +73,7 @@ Image<Rgb> linear_of(const ReadPicture& picture) {
 struct Figures {
   double rel_rmse = 0, log10_rmse = 0, psnr_db = 0, max_abs = 0, scale = 1;
   std::size_t compared = 0, non_finite = 0;
+  std::size_t black_in_one = 0;  // of those compared: no part of the logarithm's error
 };
 
 // Least squares in the logarithm for one factor, so that bright and dark count alike.
@@ -108,6 +110,7 @@ Figures measure(const Image<Rgb>& a, const Image<Rgb>& b, const std::vector<bool
     const double ya = f.scale * luminance(pa), yb = luminance(pb);
     mean += yb;
     if (ya > 0 && yb > 0) log_square += std::pow(std::log10(ya / yb), 2), ++logs;
+    f.black_in_one += (ya > 0) != (yb > 0);
   }
   const double n = static_cast<double>(std::max<std::size_t>(1, f.compared)),
                rmse = std::sqrt(square / n);
@@ -176,7 +179,13 @@ Result<void> compare(const CompareOptions& o) {
   if (o.map) PENUMBRA_TRY(check_writable(*o.map));
   PENUMBRA_ASSIGN(picture, read_any(o.a));
   PENUMBRA_ASSIGN(reference, read_any(o.b));
-  const Image<Rgb>&a = picture.values, &b = reference.values;
+  // Codes beside linear light are what a display shows of them.
+  const bool mixed = picture.codes != reference.codes;
+  const Image<Rgb> a = mixed ? linear_of(picture) : picture.values,
+                   b = mixed ? linear_of(reference) : reference.values;
+  if (mixed)
+    log_info("{}: its codes count as sRGB, beside the linear light of {}",
+             picture.codes ? o.a : o.b, picture.codes ? o.b : o.a);
   if (!a.same_size(b))
     return fail(ErrorCode::kInvalid, o.a,
                 fmt::format("has {}x{} pixels, but {} has {}x{}", a.width(), a.height(), o.b,
@@ -210,6 +219,7 @@ Result<void> compare(const CompareOptions& o) {
                 {"flip", seen.flip},
                 {"scale", f.scale},
                 {"compared_pixels", f.compared},
+                {"black_in_one", f.black_in_one},
                 {"non_finite", f.non_finite}});
   } else {
     fmt::print(
@@ -217,10 +227,11 @@ Result<void> compare(const CompareOptions& o) {
         "{:.5g}\n"
         "luminance: MSE {:.5g}, PSNR {:.2f} dB; as seen: PU21-PSNR {:.2f} dB, PU21-SSIM {:.4f}, "
         "Sarnoff {:.4f}, mean FLIP {:.4f}\n"
-        "{} pixels compared, {} not finite, {} scaled by {:.5g}\n",
+        "{} pixels compared, {} not finite, {} black in one alone and without a logarithm, {} "
+        "scaled by {:.5g}\n",
         f.rel_rmse, f.log10_rmse, f.psnr_db, f.max_abs, seen.mse, seen.luminance_psnr_db,
-        seen.pu21_psnr_db, seen.pu21_ssim, seen.sarnoff, seen.flip, f.compared, f.non_finite, o.a,
-        f.scale);
+        seen.pu21_psnr_db, seen.pu21_ssim, seen.sarnoff, seen.flip, f.compared, f.non_finite,
+        f.black_in_one, o.a, f.scale);
   }
   return {};
 }

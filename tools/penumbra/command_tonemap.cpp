@@ -2,10 +2,12 @@
 #include <CLI/CLI.hpp>
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <filesystem>
 #include <optional>
 #include <string>
+#include <string_view>
 #include <utility>
 #include <vector>
 
@@ -32,7 +34,34 @@ struct TonemapOptions {
   tone::ToneOptions tone;
   double fps = 30, adaptation_s = .4;  // of a sequence
   bool gain_map = false, json = false;
+  std::vector<std::string_view> given;  // flags of flags_of_operators()
 };
+
+// What belongs to some operators alone; given to another one it would do nothing.
+struct ToneFlag {
+  const char* name;
+  std::vector<std::string_view> operators;
+};
+const std::vector<ToneFlag>& flags_of_operators() {
+  static const std::vector<ToneFlag> all = {
+      {"--steps", {"level-set"}},
+      {"--contrast", {"level-set"}},
+      {"--base-decades", {"bilateral"}},
+      {"--white", {"photographic", "photographic-local", "filmic"}},
+      {"--saturation", {"level-set", "photographic", "photographic-local", "bilateral"}},
+      {"--detail", {"level-set", "bilateral"}},
+  };
+  return all;
+}
+
+Result<void> check_flags(const TonemapOptions& o) {
+  for (const ToneFlag& f : flags_of_operators())
+    if (std::ranges::find(o.given, std::string_view(f.name)) != o.given.end() &&
+        std::ranges::find(f.operators, std::string_view(o.op)) == f.operators.end())
+      return fail(ErrorCode::kInvalid, f.name,
+                  fmt::format("belongs to {}, and not to {}", fmt::join(f.operators, ", "), o.op));
+  return {};
+}
 
 // Grey where there is none; a hundred steps of the code to a factor of e.
 Image<Rgb8> picture_of_detail(const Image<float>& detail) {
@@ -71,9 +100,33 @@ void report_tone(const TonemapOptions& o, const tone::ToneMapped& mapped) {
              luminance(s.high), luminance(s.median));
 }
 
+// Of the channel that is off most, of its sum and a twentieth of the brightest one's.
+double light_off(const Image<Rgb>& truth, const Image<Rgb>& decoded) {
+  std::array<double, 3> light{}, kept{};
+  for (std::size_t i = 0; i < truth.area(); ++i)
+    for (int c = 0; c < 3; ++c) {
+      light[static_cast<std::size_t>(c)] += std::max(0., double{truth.pixels()[i][c]});
+      kept[static_cast<std::size_t>(c)] += double{decoded.pixels()[i][c]};
+    }
+  const double part = std::ranges::max(light) / 20;
+  double out = 0;
+  for (std::size_t c = 0; c < 3 && part > 0; ++c)
+    out = std::max(out, std::abs((kept[c] + part) / (light[c] + part) - 1));
+  return out;
+}
+
+// What a reader gets is held against the picture: a lamp of few pixels on black is what two JPEGs
+// keep worst.
 Result<void> write_gain_map(const std::string& path, const Image<Rgb>& radiance,
                             const Image<Rgb8>& base) {
+  constexpr double kWorthAWord = .05;
   PENUMBRA_ASSIGN(jpeg, codec::encode_gain_map_jpeg(radiance, base));
+  PENUMBRA_ASSIGN(back, codec::decode_gain_map_jpeg(jpeg, path));
+  if (const double off = light_off(radiance, back.pixels); off > kWorthAWord)
+    log_warning(
+        "{}: the light of a channel comes back off by {:.0f} % of it and a twentieth of the "
+        "brightest: `penumbra encode` keeps it",
+        path, 100 * off);
   return write_bytes(path, {reinterpret_cast<const char*>(jpeg.data()), jpeg.size()});
 }
 
@@ -100,6 +153,7 @@ Result<void> tonemap(TonemapOptions o) {
   auto op = tone::parse_tone_operator(o.op);
   if (!op) return fail(op.error().code, "--operator " + o.op, op.error().detail);
   o.tone.op = *op;
+  PENUMBRA_TRY(check_flags(o));
   std::vector<fs::path> pictures;
   for (const std::string& input : o.inputs) {
     PENUMBRA_ASSIGN(found, pictures_of(input));
@@ -121,9 +175,6 @@ Result<void> tonemap(TonemapOptions o) {
   if (mapped->statistics.negative > 0)
     log_warning("{}: {} pixels have components below 0, which count as 0", input_path,
                 mapped->statistics.negative);
-  if (o.detail && mapped->detail.empty())
-    return fail(ErrorCode::kInvalid, "--detail",
-                fmt::format("{} separates no detail: level-set and bilateral do", o.op));
   PENUMBRA_TRY(o.gain_map ? write_gain_map(o.output, input.pixels, mapped->pixels)
                           : codec::write_frame(o.output, mapped->pixels));
   if (o.detail) PENUMBRA_TRY(codec::write_frame(*o.detail, picture_of_detail(mapped->detail)));
@@ -189,7 +240,11 @@ void add_tonemap(CLI::App& parent, Action& action) {
               "Keep the radiance in the JPEG, beside the picture that old viewers show");
   c->add_option("--detail", o.detail, "Also write the detail, as a grey picture");
   add_json(c, o.json);
-  c->callback([&] { action = [] { return tonemap(o); }; });
+  c->callback([&action, c] {
+    for (const ToneFlag& f : flags_of_operators())
+      if (c->count(f.name) > 0) o.given.push_back(f.name);
+    action = [] { return tonemap(o); };
+  });
 }
 
 }  // namespace penumbra::tools
