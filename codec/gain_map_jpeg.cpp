@@ -154,8 +154,8 @@ struct CutGain {
   std::size_t channel;
 };
 
-// Lower, where the light that cut gains leave standing would be seen in a channel's sum: the ringing
-// of the base around a lamp on black is more light than the lamp has in its weakest channel.
+// Lower, where the light that cut gains leave standing would be seen in a channel's sum: ringing of
+// the base around a lamp on black is more light than the lamp has in its weakest channel.
 float low_end_for_light(const std::vector<CutGain>& cut, const std::array<double, 3>& light,
                         float low) {
   constexpr double kMaxAdded = .003;  // of a channel's light

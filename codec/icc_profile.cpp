@@ -33,15 +33,15 @@ std::optional<std::size_t> place_of(detail::Numbers& in, std::uint32_t signature
   return {};
 }
 
-using ToneCurve = std::function<double(double)>;
+using CurveOfCodes = std::function<double(double)>;
 
 // No points: a line; one: an exponent; else a table.
-std::optional<ToneCurve> sampled_curve(detail::Numbers& in, std::size_t at) {
+std::optional<CurveOfCodes> sampled_curve(detail::Numbers& in, std::size_t at) {
   const std::size_t count = in.at(at + 8, 4);
-  if (count == 0) return ToneCurve([](double x) { return x; });
+  if (count == 0) return CurveOfCodes([](double x) { return x; });
   if (count == 1) {
     const double gamma = in.at(at + 12, 2) / 256.;
-    return ToneCurve([gamma](double x) { return std::pow(x, gamma); });
+    return CurveOfCodes([gamma](double x) { return std::pow(x, gamma); });
   }
   constexpr std::size_t kMaxPoints = 65536;
   if (count > kMaxPoints) return {};
@@ -49,7 +49,7 @@ std::optional<ToneCurve> sampled_curve(detail::Numbers& in, std::size_t at) {
   for (std::size_t i = 0; i < count && in.ok; ++i)
     points.push_back(in.at(at + 12 + 2 * i, 2) / 65535.);
   if (!in.ok) return {};
-  return ToneCurve([points = std::move(points)](double x) {
+  return CurveOfCodes([points = std::move(points)](double x) {
     const double place = x * static_cast<double>(points.size() - 1);
     const auto i = std::min(static_cast<std::size_t>(place), points.size() - 2);
     const double part = place - static_cast<double>(i);
@@ -58,7 +58,7 @@ std::optional<ToneCurve> sampled_curve(detail::Numbers& in, std::size_t at) {
 }
 
 // Types 0 to 4: (a x + b)^g + e from d on, c x + f below.
-std::optional<ToneCurve> parametric_curve(detail::Numbers& in, std::size_t at) {
+std::optional<CurveOfCodes> parametric_curve(detail::Numbers& in, std::size_t at) {
   constexpr std::array<std::size_t, 5> kCounts{1, 3, 4, 5, 7};
   const std::size_t type = in.at(at + 8, 2);
   if (!in.ok || type >= kCounts.size()) return {};
@@ -71,11 +71,11 @@ std::optional<ToneCurve> parametric_curve(detail::Numbers& in, std::size_t at) {
     c = 0, d = -b / a;
   }
   if (type == 0) d = -1;  // everywhere
-  return ToneCurve(
+  return CurveOfCodes(
       [=](double x) { return x >= d ? std::pow(std::max(a * x + b, 0.), g) + e : c * x + f; });
 }
 
-std::optional<ToneCurve> curve_at(detail::Numbers& in, std::size_t at) {
+std::optional<CurveOfCodes> curve_at(detail::Numbers& in, std::size_t at) {
   const std::uint32_t type = in.at(at, 4);
   if (type == tag("curv")) return sampled_curve(in, at);
   if (type == tag("para")) return parametric_curve(in, at);
