@@ -40,6 +40,15 @@ Result<ForeignLens> read_basalt_lens(const ImportTable& at) {
   return lens;
 }
 
+Result<CameraModel> read_basalt_camera(const ImportTable& at, double width, double height) {
+  PENUMBRA_ASSIGN(lens, read_basalt_lens(at));
+  const auto side = [](double v) {
+    return v >= 1 && v <= kLargestImportSide ? static_cast<int>(v) : 0;
+  };
+  lens.width = side(width), lens.height = side(height);
+  return make_imported_lens(at, lens);
+}
+
 Result<Pose> read_basalt_pose(const ImportTable& at) {
   std::array<double, 7> v{};
   constexpr std::array<std::string_view, 7> kPoseParts = {"px", "py", "pz", "qx", "qy", "qz", "qw"};
@@ -64,18 +73,22 @@ Result<std::optional<ImportedRig>> read_basalt(const ImportTable& root) {
   PENUMBRA_ASSIGN(sizes, value.numbers("resolution"));
   if (poses.size() != lenses.size() || sizes.size() != 2 * lenses.size())
     return value.invalid("T_imu_cam and resolution", "do not have one entry for each camera");
+  std::optional<Seconds> offset;  // added to the frames' times
+  if (value.has("cam_time_offset_ns")) {
+    PENUMBRA_ASSIGN(ns, value.number("cam_time_offset_ns"));
+    offset = Seconds(1e-9 * ns);
+  }
   ImportedRig out{"Basalt calibration", "imu", {}};
   for (std::size_t i = 0; i < lenses.size(); ++i) {
-    PENUMBRA_ASSIGN(lens, read_basalt_lens(lenses[i]));
-    const auto side = [&](std::size_t at) {
-      const double v = sizes[at];
-      return v >= 1 && v <= kLargestImportSide ? static_cast<int>(v) : 0;
-    };
-    lens.width = side(2 * i), lens.height = side(2 * i + 1);
-    PENUMBRA_ASSIGN(camera, make_imported_lens(lenses[i], lens));
+    const std::string name = fmt::format("cam{}", i);
+    const auto camera = read_basalt_camera(lenses[i], sizes[2 * i], sizes[2 * i + 1]);
     PENUMBRA_ASSIGN(imu_from_camera, read_basalt_pose(poses[i]));
-    out.cameras.push_back({fmt::format("cam{}", i), "", camera, with_our_camera(imu_from_camera)});
+    if (camera)
+      out.cameras.push_back({name, "", *camera, with_our_camera(imu_from_camera), offset});
+    else
+      out.unknown.push_back({name, camera.error()});
   }
+  if (out.cameras.empty() && !out.unknown.empty()) return std::unexpected(out.unknown[0].error);
   return out;
 }
 

@@ -11,6 +11,7 @@
 #include "calib/camera/camera_model.h"
 #include "core/pose.h"
 #include "core/result.h"
+#include "core/units.h"
 
 namespace penumbra::calib {
 
@@ -21,12 +22,21 @@ struct ImportedCamera {
   std::string eye;  // "left", "right" or empty
   CameraModel camera;
   std::optional<Pose> body_from_camera;
+  // t_body = t_camera + offset, where the file tells it
+  std::optional<Seconds> clock_offset{};
+};
+/// One whose lens cannot be had.
+struct UnknownCamera {
+  std::string name;
+  Error error;
 };
 
 struct ImportedRig {
   std::string format;  // as a reader knows it: "Kalibr camchain", say
   std::string body;    // of body_from_camera: "head", "imu" or "first camera"; empty without poses
-  std::vector<ImportedCamera> cameras;  // one at least
+  std::vector<ImportedCamera> cameras;   // one at least
+  std::vector<UnknownCamera> unknown{};  // of a file that has others
+  std::vector<std::string> notes{};      // what was taken for something, and may be something else
 };
 
 /// Knows the format by its content: the Valve Index's config.json, Kalibr's camchain.yaml, Basalt's

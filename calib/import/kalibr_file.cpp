@@ -36,6 +36,16 @@ Result<ForeignLens> read_kalibr_intrinsics(const ImportTable& at) {
   return lens;
 }
 
+Result<CameraModel> read_kalibr_camera(const ImportTable& at) {
+  PENUMBRA_ASSIGN(lens, read_kalibr_intrinsics(at));
+  PENUMBRA_ASSIGN(size, at.numbers("resolution", 2));
+  const auto side = [](double v) {
+    return v >= 1 && v <= kLargestImportSide ? static_cast<int>(v) : 0;
+  };
+  lens.width = side(size[0]), lens.height = side(size[1]);
+  return make_imported_lens(at, lens);
+}
+
 }  // namespace
 
 Result<std::optional<ImportedRig>> read_kalibr(const ImportTable& root) {
@@ -48,14 +58,12 @@ Result<std::optional<ImportedRig>> read_kalibr(const ImportTable& root) {
   for (int i = 0; i < kMost && root.has(fmt::format("cam{}", i)); ++i) {
     const std::string name = fmt::format("cam{}", i);
     PENUMBRA_ASSIGN(at, root.table(name));
-    PENUMBRA_ASSIGN(lens, read_kalibr_intrinsics(at));
-    PENUMBRA_ASSIGN(size, at.numbers("resolution", 2));
-    const auto side = [](double v) {
-      return v >= 1 && v <= kLargestImportSide ? static_cast<int>(v) : 0;
-    };
-    lens.width = side(size[0]), lens.height = side(size[1]);
-    PENUMBRA_ASSIGN(camera, make_imported_lens(at, lens));
-    ImportedCamera one{name, "", camera, std::nullopt};
+    const auto camera = read_kalibr_camera(at);
+    ImportedCamera one{name, "", {}, std::nullopt};
+    if (at.has("timeshift_cam_imu")) {
+      PENUMBRA_ASSIGN(shift, at.number("timeshift_cam_imu"));
+      one.clock_offset = Seconds(shift);
+    }
     if (by_imu) {
       PENUMBRA_ASSIGN(camera_from_imu, at.transform("T_cam_imu"));
       one.body_from_camera = with_our_camera(camera_from_imu.inverse());
@@ -64,11 +72,16 @@ Result<std::optional<ImportedRig>> read_kalibr(const ImportTable& root) {
       PENUMBRA_ASSIGN(camera_from_last, at.transform("T_cn_cnm1"));
       first_from_camera = first_from_camera * camera_from_last.inverse();
       one.body_from_camera = between_our_cameras(first_from_camera);
-      out.cameras[0].body_from_camera = Pose{};
       out.body = "first camera";
     }
-    out.cameras.push_back(std::move(one));
+    if (camera)
+      one.camera = *camera, out.cameras.push_back(std::move(one));
+    else
+      out.unknown.push_back({name, camera.error()});
   }
+  if (out.cameras.empty()) return std::unexpected(out.unknown[0].error);
+  if (out.body == "first camera" && out.cameras[0].name == "cam0")
+    out.cameras[0].body_from_camera = Pose{};
   return out;
 }
 

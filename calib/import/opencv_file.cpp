@@ -81,6 +81,20 @@ Result<ImportedCamera> read_storage_camera(const ImportTable& root, const std::s
   return ImportedCamera{name, name == "camera" ? "" : name, camera, std::nullopt};
 }
 
+// Both models of OpenCV have four terms, and many programs write no more.
+void note_four_terms(const ImportTable& root, const ImportedCamera& one,
+                     const std::optional<std::string>& distortion, ImportedRig& out) {
+  if (!distortion || one.camera.kind != ProjectionKind::kPinhole || root.has("fisheye_model") ||
+      root.has("distortion_model"))
+    return;
+  const auto terms = read_matrix(root, *distortion);
+  if (terms && terms->size() == 4)
+    out.notes.push_back(fmt::format(
+        "{}: its four terms of distortion are taken for k1 k2 p1 p2 of a pinhole: of a fisheye, "
+        "write fisheye_model: 1 into the file",
+        one.name));
+}
+
 }  // namespace
 
 Result<std::optional<ImportedRig>> read_opencv_storage(const ImportTable& root) {
@@ -93,16 +107,18 @@ Result<std::optional<ImportedRig>> read_opencv_storage(const ImportTable& root) 
   constexpr std::array<std::array<std::string_view, 1>, 2> kPairDistortions = {{{"D1"}, {"D2"}}};
   ImportedRig out{"OpenCV FileStorage", "", {}};
   if (const auto matrix = first_of(root, kMatrices)) {
-    PENUMBRA_ASSIGN(one,
-                    read_storage_camera(root, "camera", *matrix, first_of(root, kDistortions)));
+    const auto distortion = first_of(root, kDistortions);
+    PENUMBRA_ASSIGN(one, read_storage_camera(root, "camera", *matrix, distortion));
+    note_four_terms(root, one, distortion, out);
     out.cameras.push_back(std::move(one));
     return out;
   }
   for (std::size_t i = 0; i < 2; ++i) {
     const auto matrix = first_of(root, kPairMatrices[i]);
     if (!matrix) return std::nullopt;
-    PENUMBRA_ASSIGN(one, read_storage_camera(root, i == 0 ? "left" : "right", *matrix,
-                                             first_of(root, kPairDistortions[i])));
+    const auto distortion = first_of(root, kPairDistortions[i]);
+    PENUMBRA_ASSIGN(one, read_storage_camera(root, i == 0 ? "left" : "right", *matrix, distortion));
+    note_four_terms(root, one, distortion, out);
     out.cameras.push_back(std::move(one));
   }
   if (root.has("R") && root.has("T")) {
@@ -118,9 +134,34 @@ Result<std::optional<ImportedRig>> read_opencv_storage(const ImportTable& root) 
   return out;
 }
 
+namespace {
+
+// Pictures that the driver made smaller, or cut, are not those that were calibrated.
+Result<void> check_whole(const ImportTable& root) {
+  for (const std::string_view key : {"binning_x", "binning_y"})
+    if (const auto v = root.number(key); v && *v > 1)
+      return root.invalid(key, fmt::format("is {}: the pictures are smaller than what was "
+                                           "calibrated; calibrate them as they come",
+                                           *v));
+  const auto roi = root.table("roi");
+  for (const std::string_view key : {"x_offset", "y_offset", "width", "height"})
+    if (const auto v = roi ? roi->number(key) : Result<double>(0); v && *v > 0)
+      return root.invalid("roi", "cuts the pictures; calibrate them as they come");
+  return {};
+}
+
+}  // namespace
+
+// As a calibration file, or as a message that was printed, by ROS 1 or 2.
 Result<std::optional<ImportedRig>> read_ros_camera_info(const ImportTable& root) {
-  if (!root.has("camera_matrix") || !root.has("distortion_model") || !root.has("image_width"))
+  constexpr std::array<std::string_view, 3> kRosMatrices = {"camera_matrix", "K", "k"};
+  constexpr std::array<std::string_view, 3> kRosTerms = {"distortion_coefficients", "D", "d"};
+  const auto matrix = first_of(root, kRosMatrices), distortion = first_of(root, kRosTerms);
+  const bool message = root.has("width") && root.has("height");
+  if (!matrix || !distortion || !root.has("distortion_model") ||
+      !(root.has("image_width") || message))
     return std::nullopt;
+  PENUMBRA_TRY(check_whole(root));
   PENUMBRA_ASSIGN(model, root.text("distortion_model"));
   ForeignLens lens;
   if (model == "equidistant")
@@ -130,9 +171,15 @@ Result<std::optional<ImportedRig>> read_ros_camera_info(const ImportTable& root)
         "distortion_model",
         fmt::format("is {}; plumb_bob, rational_polynomial and equidistant can be imported",
                     model));
-  PENUMBRA_TRY(read_camera_matrix(root, "camera_matrix", lens));
-  PENUMBRA_TRY(read_storage_size(root, lens));
-  PENUMBRA_ASSIGN(terms, read_matrix(root, "distortion_coefficients"));
+  PENUMBRA_TRY(read_camera_matrix(root, *matrix, lens));
+  if (message) {
+    PENUMBRA_ASSIGN(width, root.integer("width", 1, kLargestImportSide));
+    PENUMBRA_ASSIGN(height, root.integer("height", 1, kLargestImportSide));
+    lens.width = width, lens.height = height;
+  } else {
+    PENUMBRA_TRY(read_storage_size(root, lens));
+  }
+  PENUMBRA_ASSIGN(terms, read_matrix(root, *distortion));
   lens.distortion = terms;
   PENUMBRA_ASSIGN(camera, make_imported_lens(root, lens));
   std::string name = "camera";

@@ -158,8 +158,62 @@ TEST(ImportCamera, BasaltsCamerasStandByTheImu) {
   // A quarter turn about z: the camera's x is the IMU's y.
   const glm::dvec3 right = rig->cameras[0].body_from_camera->rotation * glm::dvec3(1, 0, 0);
   EXPECT_NEAR(right.y, 1, 1e-6);
-  expect_refusal(replaced(text_of("basalt.json"), "\"k5\": 0.0", "\"k5\": 0.1"), "has k5");
-  expect_refusal(replaced(text_of("basalt.json"), "\"kb4\"", "\"eucm\""), "is eucm");
+  // One camera that cannot be had leaves the others.
+  for (const auto& [from, to, why, which] :
+       {std::array{"\"k5\": 0.0", "\"k5\": 0.1", "has k5", "cam1"},
+        std::array{"\"kb4\"", "\"eucm\"", "is eucm", "cam0"}}) {
+    const auto rest = parse_camera_import(replaced(text_of("basalt.json"), from, to), "b.json");
+    ASSERT_TRUE(rest) << rest.error().detail;
+    EXPECT_EQ(rest->cameras.size(), 1u);
+    ASSERT_EQ(rest->unknown.size(), 1u);
+    EXPECT_EQ(rest->unknown[0].name, which);
+    EXPECT_NE(rest->unknown[0].error.detail.find(why), std::string::npos)
+        << rest->unknown[0].error.detail;
+  }
+}
+
+// t_imu = t_camera + offset, in both.
+TEST(ImportCamera, TheClockOfTheImuIsKept) {
+  const auto basalt =
+      parse_camera_import(replaced(text_of("basalt.json"), "\"value0\": {",
+                                   "\"value0\": {\"cam_time_offset_ns\": -5000000,"),
+                          "basalt.json");
+  ASSERT_TRUE(basalt) << basalt.error().where << basalt.error().detail;
+  ASSERT_TRUE(basalt->cameras[0].clock_offset);
+  EXPECT_NEAR(basalt->cameras[0].clock_offset->count(), -.005, 1e-12);
+  const auto kalibr = parse_camera_import(
+      "cam0:\n  camera_model: pinhole\n  intrinsics: [400, 401, 320, 240]\n"
+      "  distortion_model: none\n  resolution: [640, 480]\n  timeshift_cam_imu: 0.0123\n"
+      "  T_cam_imu:\n  - [1, 0, 0, 0]\n  - [0, 1, 0, 0]\n  - [0, 0, 1, 0]\n  - [0, 0, 0, 1]\n",
+      "camchain.yaml");
+  ASSERT_TRUE(kalibr) << kalibr.error().where << kalibr.error().detail;
+  EXPECT_EQ(kalibr->cameras[0].clock_offset->count(), .0123);
+}
+
+TEST(ImportCamera, APrintedMessageOfRosIsKnownAndSmallerPicturesAreRefused) {
+  const std::string one =
+      "width: 640\nheight: 480\ndistortion_model: plumb_bob\nD: [0.1, -0.2, 0.001, 0.002, 0.05]\n"
+      "K: [500, 0, 319.5, 0, 501, 239.5, 0, 0, 1]\nbinning_x: 0\nbinning_y: 0\n"
+      "roi:\n  x_offset: 0\n  y_offset: 0\n  height: 0\n  width: 0\n  do_rectify: false\n";
+  for (const std::string& text : {one, replaced(replaced(one, "D:", "d:"), "K:", "k:")}) {
+    const auto rig = parse_camera_import(text, "info.yaml");
+    ASSERT_TRUE(rig) << rig.error().where << rig.error().detail;
+    EXPECT_EQ(rig->format, "ROS camera_info");
+    EXPECT_EQ(rig->cameras[0].camera.width, 640);
+    EXPECT_EQ(rig->cameras[0].camera.focal_px, glm::dvec2(500, 501));
+  }
+  expect_refusal(replaced(one, "binning_x: 0", "binning_x: 2"), "binning_x");
+  expect_refusal(replaced(one, "x_offset: 0", "x_offset: 8"), "roi");
+}
+
+TEST(ImportCamera, FourTermsMayBeAFisheyesAndThatIsSaid) {
+  const auto rig = parse_camera_import(
+      R"({"image_width": 1280, "image_height": 720, "K": [900, 0, 639.5, 0, 901, 359.5, 0, 0, 1],
+          "D": [0.05, -0.12, 0.001, -0.0008]})",
+      "four.json");
+  ASSERT_TRUE(rig) << rig.error().detail;
+  ASSERT_EQ(rig->notes.size(), 1u);
+  EXPECT_NE(rig->notes[0].find("fisheye_model"), std::string::npos);
 }
 
 TEST(ImportCamera, OpenCvsYamlXmlAndJsonAreOneCamera) {
