@@ -10,6 +10,7 @@
 #include "calib/estimate/rig_calibration.h"
 #include "capture/frames.h"
 #include "capture/recording/folder.h"
+#include "capture/recording/folder_format.h"
 #include "capture/recording/undamaged_frames.h"
 #include "core/conventions.h"
 #include "core/io/files.h"
@@ -18,6 +19,7 @@
 #include "runtime/pipeline/report.h"
 #include "tools/calibrate/calibration_report.h"
 #include "tools/calibrate/commands.h"
+#include "tools/calibrate/lens_parts.h"
 #include "tools/calibrate/tracker_file.h"
 #include "tools/common/command.h"
 #include "tools/common/print.h"
@@ -36,20 +38,22 @@ struct CalibrateRigOptions {
   double tracker_sigma_mm = 1, tracker_sigma_deg = .05;
   std::string board_plane;  // "floor" or "wall": the board is the world
   double every_s = .5, max_time_apart_s = .005;
-  std::optional<std::string> report;
+  std::optional<std::string> report, lens_file;
   bool json = false;
 };
 
 struct RigPictures {
-  std::vector<calib::RigCameraInput> cameras;
+  std::vector<capture::CameraInfo> all;  // of the capture
+  std::vector<RigPart> parts;
+  std::vector<calib::RigCameraInput> cameras;  // of the parts
   std::vector<calib::RigObservation> boards;
   std::size_t pictures = 0;
 };
 
-// Index into the rig's cameras of each of the capture's; nothing where it takes no part.
-Result<std::vector<std::optional<std::size_t>>> choose_cameras(
-    const CalibrateRigOptions& o, const std::vector<capture::CameraInfo>& all, RigPictures& seen) {
-  std::vector<std::optional<std::size_t>> out(all.size());
+// A camera of several lenses takes part with each of them.
+Result<void> choose_cameras(const CalibrateRigOptions& o, RigPictures& seen) {
+  const std::vector<capture::CameraInfo>& all = seen.all;
+  std::vector<bool> chosen(all.size());
   std::vector<std::string> names = o.cameras;
   if (names.empty())
     for (const capture::CameraInfo& c : all) names.push_back(c.name);
@@ -57,12 +61,15 @@ Result<std::vector<std::optional<std::size_t>>> choose_cameras(
     const auto camera = std::ranges::find(all, name, &capture::CameraInfo::name);
     if (camera == all.end())
       return fail(ErrorCode::kNotFound, name, "is not a camera of the capture");
-    auto& index = out[static_cast<std::size_t>(camera - all.begin())];
-    if (index) return fail(ErrorCode::kInvalid, name, "is named twice");
-    index = seen.cameras.size();
-    seen.cameras.push_back({name, camera->projection});
+    const auto index = static_cast<std::size_t>(camera - all.begin());
+    if (chosen[index]) return fail(ErrorCode::kInvalid, name, "is named twice");
+    chosen[index] = true;
+    for (RigPart& part : parts_of(*camera, index)) {
+      seen.cameras.push_back(part.input);
+      seen.parts.push_back(std::move(part));
+    }
   }
-  return out;
+  return {};
 }
 
 // Lenses of files in place of the capture's, with how sure they are.
@@ -101,7 +108,8 @@ bool some_lens_is_exact(const RigPictures& seen) {
 Result<RigPictures> look(const CalibrateRigOptions& o, const calib::Board& board) {
   PENUMBRA_ASSIGN(source, capture::UndamagedFrames::open(o.capture));
   RigPictures seen;
-  PENUMBRA_ASSIGN(index_of, choose_cameras(o, source->cameras(), seen));
+  seen.all = source->cameras();
+  PENUMBRA_TRY(choose_cameras(o, seen));
   PENUMBRA_TRY(set_lenses(o, seen));
   if (seen.cameras.size() == 1 && !o.tracker && o.board_plane.empty())
     return fail(ErrorCode::kInvalid, seen.cameras[0].name,
@@ -112,16 +120,22 @@ Result<RigPictures> look(const CalibrateRigOptions& o, const calib::Board& board
   while (true) {
     PENUMBRA_ASSIGN(frame, source->next());
     if (!frame) return seen;
-    const auto camera = index_of[static_cast<std::size_t>(frame->camera)];
-    if (!camera) continue;
+    const auto of_frame = [&](const RigPart& part) {
+      return part.camera == static_cast<std::size_t>(frame->camera);
+    };
+    if (std::ranges::none_of(seen.parts, of_frame)) continue;
     const double time = (frame->time - TimestampNs{}).count();
     if (!moment || time - *moment >= o.every_s - kJitter) moment = time;
     if (time - *moment > o.max_time_apart_s) continue;
     progress(++seen.pictures);
-    const std::string name =
-        fmt::format("{} frame {}", seen.cameras[*camera].name, frame->sequence);
-    if (auto view = calib::find_board(*frame->pixels, board, name))
-      seen.boards.push_back({*camera, time, std::move(*view)});
+    for (std::size_t i = 0; i < seen.parts.size(); ++i) {
+      const RigPart& part = seen.parts[i];
+      if (!of_frame(part)) continue;
+      const std::string name = fmt::format("{} frame {}", seen.cameras[i].name, frame->sequence);
+      if (auto view = calib::find_board(picture_of(part, seen.all[part.camera], *frame->pixels),
+                                        board, name))
+        seen.boards.push_back({i, time, std::move(*view)});
+    }
   }
 }
 
@@ -159,7 +173,8 @@ std::string_view frame_name(const CalibrateRigOptions& o) {
 }
 
 std::string print_pose_file(const CalibrateRigOptions& o, const RigPictures& seen,
-                            const calib::RigCalibration& c, const std::vector<Pose>& poses) {
+                            const calib::RigCalibration& c,
+                            const std::vector<JoinedCamera>& joined) {
   std::string text =
       fmt::format("version = 1\n\n[rig]\nframe = \"{}\"\nboard = {}\nrms_px = {:.4g}\n",
                   frame_name(o), toml_quoted(o.board), c.rms_px);
@@ -168,16 +183,16 @@ std::string print_pose_file(const CalibrateRigOptions& o, const RigPictures& see
         "tracker_offset_s = {:.6f}  # camera time + offset = tracker time\n"
         "tracker_offset_sigma_s = {:.2g}\n",
         *c.tracker_offset_s, c.tracker_offset_sigma_s);
-  for (std::size_t i = 0; i < poses.size(); ++i) {
-    const glm::dmat4 m = poses[i].matrix();
-    const auto& camera = c.cameras[i];
+  for (const JoinedCamera& one : joined) {
+    const glm::dmat4 m = one.pose.matrix();
+    const auto& camera = c.cameras[one.first_part];
     const auto list = [](const glm::dvec3& v, double unit) {
       return fmt::format("[{:.3g}, {:.3g}, {:.3g}]", unit * v.x, unit * v.y, unit * v.z);
     };
     text += fmt::format(
         "\n[[camera]]\nname = {}\nworld_from_camera = [{}]\nposition_sigma_mm = {}  # one standard "
         "deviation, against {}\nrotation_sigma_deg = {}\n",
-        toml_quoted(seen.cameras[i].name), fmt::join(&m[0][0], &m[0][0] + 16, ", "),
+        toml_quoted(seen.all[one.camera].name), fmt::join(&m[0][0], &m[0][0] + 16, ", "),
         list(camera.position_sigma_m, 1000),
         o.tracker ? "the tracked body" : "the first camera, in its axes",
         list(camera.rotation_sigma_rad, 180 / kPi));
@@ -211,6 +226,42 @@ void print_table(const CalibrateRigOptions& o, const RigPictures& seen,
   for (const std::string& name : c.left_out) fmt::print("left out: {}\n", name);
   if (some_lens_is_exact(seen))
     fmt::print("lenses are taken as exact where --lenses gives no file of calibrate camera\n");
+}
+
+// Cameras of several lenses, with how these look now.
+Result<void> write_lens_file(const std::string& file, const RigPictures& seen,
+                             const std::vector<JoinedCamera>& joined) {
+  std::string text = "version = 1\n";
+  for (const JoinedCamera& one : joined) {
+    if (one.lenses.empty()) continue;
+    capture::CameraInfo info = seen.all[one.camera];
+    info.lenses = one.lenses;
+    text += capture::print_camera(info, info.response.describe());
+  }
+  return write_bytes(file, text);
+}
+
+void print_lenses(const RigPictures& seen, const std::vector<JoinedCamera>& joined) {
+  for (const JoinedCamera& one : joined)
+    for (std::size_t k = 1; k < one.lenses.size(); ++k)
+      fmt::print(
+          "{}: lens {} looks {:.2f} degrees away from where it was said to, and stands "
+          "{:.1f} mm from the first\n",
+          seen.all[one.camera].name, k + 1, one.turned_rad[k] * 180 / kPi, 1000 * one.apart_m[k]);
+}
+
+nlohmann::json lenses_json(const RigPictures& seen, const std::vector<JoinedCamera>& joined) {
+  nlohmann::json out = nlohmann::json::array();
+  for (const JoinedCamera& one : joined)
+    for (std::size_t k = 0; k < one.lenses.size(); ++k) {
+      const glm::dmat4 m = glm::mat4_cast(one.lenses[k].camera_from_lens);
+      out.push_back({{"camera", seen.all[one.camera].name},
+                     {"lens", k + 1},
+                     {"camera_from_lens", std::vector<double>(&m[0][0], &m[0][0] + 16)},
+                     {"turned_deg", one.turned_rad[k] * 180 / kPi},
+                     {"apart_m", one.apart_m[k]}});
+    }
+  return out;
 }
 
 nlohmann::json to_json(const RigPictures& seen, const calib::RigCalibration& c,
@@ -280,6 +331,7 @@ Result<void> calibrate_rig(const CalibrateRigOptions& o) {
     board_in_world = pose;
   }
   PENUMBRA_TRY(check_writable(o.output));
+  if (o.lens_file) PENUMBRA_TRY(check_writable(*o.lens_file));
   if (o.report) PENUMBRA_TRY(make_folder(*o.report));
   PENUMBRA_ASSIGN(seen, look(o, board));
   if (seen.boards.empty())
@@ -297,12 +349,22 @@ Result<void> calibrate_rig(const CalibrateRigOptions& o) {
   std::vector<Pose> poses;
   for (const calib::RigCameraPose& c : result.cameras)
     poses.push_back(file_from_rig * c.rig_from_camera);
-  PENUMBRA_TRY(write_bytes(o.output, print_pose_file(o, seen, result, poses)));
+  const std::vector<JoinedCamera> joined = join(seen.parts, poses, seen.all);
+  const bool has_lenses =
+      std::ranges::any_of(joined, [](const JoinedCamera& one) { return !one.lenses.empty(); });
+  if (o.lens_file && !has_lenses)
+    return fail(ErrorCode::kInvalid, "--lens-file", "is of cameras with [[camera.lens]]");
+  PENUMBRA_TRY(write_bytes(o.output, print_pose_file(o, seen, result, joined)));
+  if (o.lens_file) PENUMBRA_TRY(write_lens_file(*o.lens_file, seen, joined));
   if (o.report) PENUMBRA_TRY(write_rig_report(*o.report, seen.cameras, poses, result));
-  if (o.json)
-    print_json(to_json(seen, result, poses));
-  else
+  if (o.json) {
+    nlohmann::json out = to_json(seen, result, poses);
+    if (has_lenses) out["lenses"] = lenses_json(seen, joined);
+    print_json(out);
+  } else {
     print_table(o, seen, result, poses);
+    print_lenses(seen, joined);
+  }
   return {};
 }
 
@@ -346,6 +408,9 @@ void add_calibrate_rig(CLI::App& parent, Action& action) {
        "at most 0.005")
       ->capture_default_str();
   c->add_option("-o,--output", rig.output, "Pose file to write, .toml")->required();
+  c->add_option("--lens-file", rig.lens_file,
+                "Also a camera file to write, .toml: cameras of several lenses, with how these "
+                "look by the board that they see at once");
   c->add_option("--report", rig.report, "Folder for a plot and a table of the boards' errors");
   add_json(c, rig.json);
   c->callback([&] { action = [] { return calibrate_rig(rig); }; });
