@@ -64,7 +64,8 @@ void ViewLens::make_radius() {
   }
 }
 
-// Pinholes fold back where a corner of the picture has no ray; a fisheye's picture ends there.
+// Pinholes fold back where a corner of the picture has no ray; a fisheye's picture ends there, but
+// none ends so near its axis that a wrong term alone explains it.
 Result<void> ViewLens::make_rays(const std::string& where) {
   const auto [width, height] = std::pair(model_.width, model_.height);
   const auto nodes = [](int pixels) { return static_cast<std::size_t>(pixels / kCell) + 2; };
@@ -72,6 +73,7 @@ Result<void> ViewLens::make_rays(const std::string& where) {
   const std::size_t rows = nodes(height);
   for (auto* v : {&x_, &y_, &z_}) v->assign(columns_ * rows + kPadding, 0);
   double max_angle = 0;
+  bool ends = false;
   for (std::size_t j = 0; j < rows; ++j)
     for (std::size_t i = 0; i < columns_; ++i) {
       const glm::dvec2 at(double(i) * kCell, double(j) * kCell);
@@ -83,6 +85,7 @@ Result<void> ViewLens::make_rays(const std::string& where) {
                     fmt::format("has a distortion whose picture folds back on itself at pixel "
                                 "{:.0f}, {:.0f}",
                                 inside.x, inside.y));
+      ends |= !ray;
       if (!ray) continue;
       max_angle = std::max(max_angle, angle_of(*ray));
       glm::dvec3 there = *ray;
@@ -96,6 +99,12 @@ Result<void> ViewLens::make_rays(const std::string& where) {
       y_[n] = static_cast<float>(there.y);
       z_[n] = static_cast<float>(there.z);
     }
+  constexpr double kNarrowestFisheye = 70 * kPi / 180;
+  if (ends && max_angle < kNarrowestFisheye)
+    return fail(ErrorCode::kInvalid, where,
+                fmt::format("has a distortion whose picture folds back on itself {:.0f} degrees "
+                            "from the axis, within the picture",
+                            max_angle * 180 / kPi));
   constexpr double kBeside_rad = .05;  // room for triangles that the border cuts
   max_angle_rad_ = std::min(kPi, max_angle + kBeside_rad);
   return {};

@@ -222,6 +222,14 @@ TEST(ViewLens, RefusesMapsAndPicturesThatFoldBack) {
   ASSERT_FALSE(folded);
   EXPECT_EQ(folded.error().where, "camera");
   EXPECT_THAT(folded.error().detail, ::testing::HasSubstr("folds back"));
+  // A fisheye of 60 degrees within the picture is a wrong term; one of 95 ends there.
+  calib::CameraModel fisheye{
+      calib::ProjectionKind::kKannalaBrandt, 640, 480, {200, 200}, {320, 240}, {-.3, 0, 0, 0}};
+  const auto wrong = ViewLens::create(fisheye, "camera");
+  ASSERT_FALSE(wrong);
+  EXPECT_THAT(wrong.error().detail, ::testing::HasSubstr("folds back on itself 60 degrees"));
+  fisheye.focal_px = {140, 140}, fisheye.distortion = {-.12, 0, 0, 0};
+  EXPECT_TRUE(ViewLens::create(fisheye, "camera"));
 }
 
 }  // namespace
