@@ -236,6 +236,8 @@ struct Live {
   Latest<lighting::LightEstimate> light;
   Latest<std::vector<lighting::SaturationRecovery>> recoveries;
   std::atomic<int> affordable_lights = std::numeric_limits<int>::max();
+  // The steady clock's time over the frames': 0 for cameras, which have it, else since the first
+  std::atomic<std::int64_t> behind_ns = 0;
   std::mutex mutex;
   std::optional<Error> error, last_unusable;  // guarded by mutex
   std::uint64_t unusable = 0;                 // guarded by mutex
@@ -293,7 +295,10 @@ void produce(Live& live, capture::FrameSource& source, const LightEstimationStag
       }
       failures_in_a_row = 0;
       if (!*frame) break;
-      if (!origin) origin = Clock::now(), first = (*frame)->time;
+      if (!origin) {
+        origin = Clock::now(), first = (*frame)->time;
+        if (!source.is_live()) live.behind_ns = origin->time_since_epoch().count() - first.value;
+      }
       if (!source.is_live() &&
           !wait_until(*origin + std::chrono::duration_cast<Clock::duration>((*frame)->time - first),
                       live, stop))
@@ -364,8 +369,9 @@ void measure(Live& live, LightEstimationStage& light, const LiveChanges& changes
 // beside the begin of that one; otherwise at once, so that nothing comes later than it has to.
 class LiveFrames {
  public:
-  LiveFrames(CompositeStage& compose, const Sink& sink, RunCounts& counts)
-      : compose_(&compose), sink_(sink), counts_(counts) {}
+  LiveFrames(CompositeStage& compose, const Sink& sink, RunCounts& counts, const Live& live,
+             StageTimes& times)
+      : compose_(&compose), sink_(sink), counts_(counts), live_(live), times_(times) {}
 
   /// in: the last frame of the one before is finished
   void go_on_with(CompositeStage& compose) { compose_ = &compose; }
@@ -426,15 +432,25 @@ class LiveFrames {
 
   void hand_out(UnderWay& frame) {
     if (!go_on_) return;
+    tell_age("capture to picture", frame.frame.time);
+    tell_age("light to picture", frame.light.time);
     const SpendingOn spending(ProcessorUse::kOther);
     const Stopwatch watch;
     go_on_ = deliver(frame.frame, frame.light, std::move(frame.done), sink_, counts_);
     in_sink_ms_ += watch.ms();
   }
 
+  // What motion and light wait for until whoever shows the picture has it.
+  void tell_age(std::string_view name, TimestampNs time) {
+    const std::int64_t now = Clock::now().time_since_epoch().count();
+    times_.add(name, 1e-6 * static_cast<double>(now - live_.behind_ns - time.value));
+  }
+
   CompositeStage* compose_;
   const Sink& sink_;
   RunCounts& counts_;
+  const Live& live_;
+  StageTimes& times_;
   bool go_on_ = true;
   double busy_ms_ = 0, in_sink_ms_ = 0;
   std::array<UnderWay, 2> slots_;
@@ -461,7 +477,7 @@ Result<RunCounts> run_live(capture::FrameSource& source, LightEstimationStage& l
   Live live(source);
   RunCounts counts;
   Result<void> composed;
-  LiveFrames frames(compose, sink, counts);
+  LiveFrames frames(compose, sink, counts, live, times);
   compose.warm_up();
   compose.keep_time();
   const auto start = Clock::now();

@@ -234,6 +234,16 @@ TEST(Live, EveryFrameIsHandedOutOrCountedAsDropped) {
   ASSERT_TRUE(counts) << counts.error().detail;
   EXPECT_GT(counts->frames, 0u);
   EXPECT_EQ(counts->frames + counts->overtaken.view, 24u);
+  // How old motion and light are in what is handed out: of frames that were lit.
+  int ages = 0;
+  for (const auto& [name, p] : s.times.summary()) {
+    if (name != "capture to picture" && name != "light to picture") continue;
+    ++ages;
+    EXPECT_EQ(p.count, counts->frames - counts->without_light) << name;
+    EXPECT_GT(p.p50_ms, 0) << name;
+    EXPECT_LT(p.p50_ms, 60'000) << name << ": another clock";
+  }
+  EXPECT_EQ(ages, counts->frames > counts->without_light ? 2 : 0);
 }
 
 TEST(Live, FramesThatComeLateAreTheSameAndInOrder) {
