@@ -17,6 +17,7 @@
 #include <vector>
 
 #include "capture/frames.h"
+#include "core/conventions.h"
 #include "core/io/files.h"
 #include "core/io/log.h"
 #include "core/threads/stop_signal.h"
@@ -281,6 +282,10 @@ void Service::publish_pose(const capture::Frame& frame) {
   PublishedState::PoseState state{
       now.name, {}, now.taken, now.refused, rig_.posed->left_out(), frame.opacity, now.trouble};
   if (now.age) state.age_s = now.age->count();
+  if (const auto pose = rig_.posed->last_pose()) {
+    state.sigma_mm = 1000 * pose->sigma_m, state.sigma_deg = pose->sigma_rad * 180 / kPi;
+    state.extrapolated_ms = 1000 * pose->extrapolated.count();
+  }
   state_.publish_pose(std::move(state));
 }
 

@@ -98,7 +98,11 @@ Result<std::optional<Frame>> PosedSource::next() {
     frame->time = time + offset_;  // what the source of poses is asked for
     const auto pose = poses_->pose_of(*frame);
     frame->time = time;
-    if (pose) mover.world_from_camera = pose->pose * mover.body_from_camera;
+    if (pose) {
+      mover.world_from_camera = pose->pose * mover.body_from_camera;
+      const std::scoped_lock lock(last_mutex_);
+      last_ = pose;
+    }
     if (frames_->cameras()[camera].role == Role::kView) {
       frame->opacity = static_cast<float>(fade(mover, time, pose.has_value()));
     } else if (!pose) {

@@ -4,6 +4,7 @@
 
 #include <atomic>
 #include <memory>
+#include <mutex>
 #include <vector>
 
 #include "calib/camera/pose_file.h"
@@ -59,6 +60,12 @@ class PosedSource : public FrameSource {
   std::vector<CameraCounts> counts() const override { return frames_->counts(); }
 
   PoseSourceState pose_state() const { return poses_->state(); }
+  /// How sure the last pose is that a frame got; nothing before the first.
+  /// threads: thread-safe
+  std::optional<FramePose> last_pose() const {
+    const std::scoped_lock lock(last_mutex_);
+    return last_;
+  }
   /// Environment frames without a pose.
   std::uint64_t left_out() const { return left_out_.load(std::memory_order_relaxed); }
 
@@ -77,6 +84,8 @@ class PosedSource : public FrameSource {
   Seconds offset_{0};
   std::vector<std::optional<Mover>> movers_;  // by camera
   std::atomic<std::uint64_t> left_out_{0};
+  mutable std::mutex last_mutex_;
+  std::optional<FramePose> last_;  // guarded by last_mutex_
 };
 
 }  // namespace penumbra::capture

@@ -52,6 +52,8 @@ class PublishedState {
     std::uint64_t left_out = 0;  // environment frames without a pose
     double opacity = 1;          // of what is virtual in the newest frame
     std::string trouble;
+    // Of the last pose that a frame got: one standard deviation, and how far beyond the newest one
+    std::optional<double> sigma_mm{}, sigma_deg{}, extrapolated_ms{};
   };
   void publish_pose(PoseState pose);
   /// A headset that shows the picture.

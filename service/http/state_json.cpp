@@ -41,9 +41,16 @@ json preparing_json(const PublishedState::Snapshot& s) {
 }
 
 json pose_json(const PublishedState::PoseState& p) {
-  return {{"source", p.name},       {"age_s", p.age_s ? json(*p.age_s) : json(nullptr)},
-          {"accepted", p.accepted}, {"rejected", p.rejected},
-          {"left_out", p.left_out}, {"opacity", p.opacity},
+  const auto known = [](const std::optional<double>& v) { return v ? json(*v) : json(nullptr); };
+  return {{"source", p.name},
+          {"age_s", known(p.age_s)},
+          {"accepted", p.accepted},
+          {"rejected", p.rejected},
+          {"left_out", p.left_out},
+          {"opacity", p.opacity},
+          {"sigma_mm", known(p.sigma_mm)},
+          {"sigma_deg", known(p.sigma_deg)},
+          {"extrapolated_ms", known(p.extrapolated_ms)},
           {"trouble", p.trouble}};
 }
 

@@ -70,6 +70,10 @@ class Quick(CliTest):
         port, lines, process = self.start()
         state = lambda: json.loads(self.ask(port, "/v1/state"))  # noqa: E731
         self.wait_for(lambda: (state()["pose"] or {}).get("opacity") == 1, "the board was never found", lines)
+        # How sure the pose is, as the tracker says.
+        sure = state()["pose"]
+        self.assertTrue(0 < sure["sigma_mm"] < 20 and 0 < sure["sigma_deg"] < 2, sure)
+        self.assertGreaterEqual(sure["extrapolated_ms"], 0)
         self.wait_for(lambda: state()["objects"], "no object", lines)
         self.wait_for(lambda: state()["light"], "no light", lines)
         now = state()
