@@ -89,12 +89,13 @@ std::vector<std::string_view> xmp_values(std::string_view xmp, std::string_view 
   if (!rest.starts_with(">")) return {};
   rest.remove_prefix(1);
   rest = rest.substr(0, rest.find(std::string("</") + std::string(name)));
-  constexpr std::string_view kItem = "<rdf:li>";
+  constexpr std::string_view kItem = "<rdf:li";  // attributes, such as a language, may follow
   if (rest.find(kItem) == std::string_view::npos) return {rest};
   std::vector<std::string_view> out;
   for (std::size_t item = rest.find(kItem); item != std::string_view::npos && out.size() < 3;
        item = rest.find(kItem, item + 1)) {
-    const std::string_view text = rest.substr(item + kItem.size());
+    const std::string_view tag = rest.substr(item),
+                           text = tag.substr(std::min(tag.find('>'), tag.size() - 1) + 1);
     out.push_back(text.substr(0, text.find('<')));
   }
   return out;
@@ -206,8 +207,29 @@ std::vector<Bytes> indexed_pictures(Bytes file, const Segment& segment) {
   return out;
 }
 
-// The last picture, by the length that the XMP of the first one tells.
-std::optional<Bytes> last_picture(Bytes file, std::string_view xmp) {
+// What follows the first picture in a file; nothing where that does not end.
+std::optional<Bytes> behind_first(Bytes file) {
+  detail::Numbers in{file};
+  for (std::size_t at = 2; in.ok;) {
+    while (in.at(at, 1) == 0xff) ++at;
+    const std::uint32_t marker = in.at(at, 1);
+    if (!in.ok) break;
+    if (marker == 0xd9) return file.subspan(at + 1);
+    at += 1 + in.at(at + 1, 2);
+    if (marker != 0xda) continue;
+    // Coded data: 0xff is followed by 0 or by a restart marker there.
+    for (;; ++at) {
+      if (at + 1 >= file.size()) return {};
+      if (file[at] != 0xff || file[at + 1] == 0 || file[at + 1] == 0xff) continue;
+      if (file[at + 1] < 0xd0 || file[at + 1] > 0xd7) break;
+    }
+  }
+  return {};
+}
+
+// The picture of the length that the XMP of the first one tells: the last one, or where other bytes
+// come behind it, the one behind the first.
+std::optional<Bytes> told_picture(Bytes file, std::string_view xmp) {
   const std::size_t map = xmp.find("Item:Semantic=\"GainMap\"");
   if (map == std::string_view::npos) return {};
   // Whichever of the item's attributes comes first.
@@ -218,15 +240,17 @@ std::optional<Bytes> last_picture(Bytes file, std::string_view xmp) {
       std::from_chars(told[0].data(), told[0].data() + told[0].size(), size).ec != std::errc() ||
       size == 0 || size >= file.size())
     return {};
-  return file.last(size);
+  if (is_jpeg(file.last(size))) return file.last(size);
+  const auto rest = behind_first(file);
+  return rest && rest->size() >= size ? std::optional(rest->first(size)) : std::nullopt;
 }
 
 std::vector<Bytes> further_pictures(Bytes file, const std::vector<Segment>& segments) {
   for (const Segment& s : segments)
     if (s.marker == 0xe2 && s.starts_with(kPicturesHead))
       if (auto found = indexed_pictures(file, s); !found.empty()) return found;
-  const auto last = last_picture(file, xmp_of(segments));
-  return last ? std::vector{*last} : std::vector<Bytes>();
+  const auto told = told_picture(file, xmp_of(segments));
+  return told ? std::vector{*told} : std::vector<Bytes>();
 }
 
 struct FoundGainMap {

@@ -204,6 +204,18 @@ TEST(GainMapJpeg, ASmallerMapWithAGammaAndAListForEachChannelIsFollowed) {
   EXPECT_NEAR(c.r, base * std::exp2(2 * part), .02 * c.r);
   EXPECT_NEAR(c.g, base * std::exp2(1 + 2 * part), .02 * c.g);
   EXPECT_NEAR(c.b, base * std::exp2(-1 + 5 * part), .02 * c.b);
+  // With languages on the items, and bytes of somebody else's behind the map.
+  std::string spoken = metadata;
+  for (std::size_t at = spoken.find("<rdf:li>"); at != std::string::npos;
+       at = spoken.find("<rdf:li>", at + 1))
+    spoken.insert(at + 7, " xml:lang=\"x-default\"");
+  Bytes file = file_of(jpeg_of(even(32, 16, {188, 188, 188})),
+                       with_segment(jpeg_of(even(8, 4, {64, 64, 64})), segment(0xe1, xmp(spoken))));
+  const std::string more = "a maker's notes";
+  file.insert(file.end(), more.begin(), more.end());
+  const auto other = decode_gain_map_jpeg(file, "file");
+  ASSERT_TRUE(other) << other.error().detail;
+  EXPECT_EQ(other->pixels.at(20, 9), c);
 }
 
 std::string be32(std::uint32_t value) {
