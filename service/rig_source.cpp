@@ -32,6 +32,7 @@ class LoopingCapture : public capture::FrameSource {
     if (!*frame) {
       PENUMBRA_ASSIGN(again,
                       capture::UndamagedFrames::open(path_, capture::RecordedLight::kEither));
+      again->keep_quiet();
       source_ = std::move(again);
       frame = source_->next();
       if (!frame || !*frame) return frame;

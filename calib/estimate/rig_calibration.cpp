@@ -228,7 +228,7 @@ class Adjustment {
     set_boards(out);
     if (tracked()) {
       out.tracker_offset_s = offset_s_;
-      PENUMBRA_TRY(check_scale(out));
+      PENUMBRA_TRY(check_scale(cameras, views, out));
     }
     PENUMBRA_TRY(add_lens_uncertainty(cameras, views));
     PENUMBRA_TRY(estimate_sigmas(out));
@@ -382,9 +382,12 @@ class Adjustment {
                       sigmas));
     return {};
   }
-  // The tracker's metres are a second measure of the board: solved anew with its size left open.
-  Result<void> check_scale(RigCalibration& out) const {
-    constexpr double kMaxOff = .01, kMaxSigmas = 4;
+  // The tracker's metres are a second measure of the board: solved anew with its size left open. A
+  // lens whose focal length is off looks alike, so what its calibration leaves open counts, and
+  // where nothing is said of that, a part that careless ones have.
+  Result<void> check_scale(std::span<const RigCameraInput> cameras,
+                           std::span<const RigObservation> views, RigCalibration& out) const {
+    constexpr double kMaxOff = .01, kMaxOffOfUnknown = .025, kMaxSigmas = 4;
     Adjustment open = *this;
     open.scale_is_free_ = true;
     {
@@ -403,13 +406,30 @@ class Adjustment {
     if (!covariance.Compute(wanted, &problem)) return {};
     double variance = 0;
     covariance.GetCovarianceBlock(scale, scale, &variance);
+    double by_lenses = 0;
+    bool all_known = true;
+    for (std::size_t c = 0; c < cameras.size(); ++c) {
+      all_known &= !cameras[c].lens_covariance.empty();
+      if (cameras[c].lens_covariance.empty()) continue;
+      for (const CameraModel& lens : moved_lenses(cameras[c])) {
+        Adjustment moved = open;
+        for (std::size_t v = 0; v < views.size(); ++v)
+          if (observed_[v].camera == c)
+            moved.observed_[v].corners = corners_of(lens, views[v].view);
+        ceres::Problem again;
+        moved.build(again, true);
+        if (solve(again)) by_lenses += std::pow(moved.board_scale_ - open.board_scale_, 2);
+      }
+    }
     out.board_scale = open.board_scale_;
-    out.board_scale_sigma = std::sqrt(std::max(0., variance));
+    out.board_scale_sigma = std::sqrt(std::max(0., variance) + by_lenses);
     const double off = open.board_scale_ - 1;
-    if (std::abs(off) > std::max(kMaxOff, kMaxSigmas * out.board_scale_sigma))
+    if (std::abs(off) >
+        std::max(all_known ? kMaxOff : kMaxOffOfUnknown, kMaxSigmas * out.board_scale_sigma))
       return rig_undetermined(fmt::format(
           "by the tracker's metres the board is {:.3f} +- {:.3f} times as large as --board says: "
-          "measure its squares, or tell the tracker's unit",
+          "measure its squares; a focal length that is off as much, or the tracker's unit, would "
+          "look alike",
           open.board_scale_, out.board_scale_sigma));
     return {};
   }

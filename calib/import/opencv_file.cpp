@@ -144,9 +144,15 @@ Result<void> check_whole(const ImportTable& root) {
                                            "calibrated; calibrate them as they come",
                                            *v));
   const auto roi = root.table("roi");
-  for (const std::string_view key : {"x_offset", "y_offset", "width", "height"})
-    if (const auto v = roi ? roi->number(key) : Result<double>(0); v && *v > 0)
-      return root.invalid("roi", "cuts the pictures; calibrate them as they come");
+  if (!roi) return {};
+  const auto told = [](const ImportTable& at, std::string_view key) {
+    return at.number(key).value_or(0);
+  };
+  // All 0, or the size of the picture, is all of it.
+  const bool cuts = told(*roi, "x_offset") > 0 || told(*roi, "y_offset") > 0 ||
+                    (told(*roi, "width") > 0 && told(*roi, "width") != told(root, "width")) ||
+                    (told(*roi, "height") > 0 && told(*roi, "height") != told(root, "height"));
+  if (cuts) return root.invalid("roi", "cuts the pictures; calibrate them as they come");
   return {};
 }
 

@@ -34,6 +34,25 @@ cv::Mat structure_of(const Image<Rgb8>& picture, double scale) {
   return out;
 }
 
+// Whether what all of the picture shows has moved so, and not one thing in it: most parts in which
+// anything can be told are more alike with the shift than without, and they are many.
+bool moved_everywhere(const cv::Mat& first, const cv::Mat& second, const cv::Rect& middle,
+                      const cv::Point& shift) {
+  constexpr int kAcross = 6, kDown = 4, kFewest = 16;  // parts
+  constexpr double kTold = .05, kMost = .65;           // of a part's places; of the parts
+  int moved = 0, all = 0;
+  for (int part = 0; part < kAcross * kDown; ++part) {
+    const cv::Rect here(middle.x + part % kAcross * middle.width / kAcross,
+                        middle.y + part / kAcross * middle.height / kDown, middle.width / kAcross,
+                        middle.height / kDown);
+    const cv::Mat a = first(here);
+    if (cv::countNonZero(a != 0) < kTold * here.area()) continue;
+    ++all;
+    moved += a.dot(second(here + shift)) > a.dot(second(here));
+  }
+  return all >= kFewest && moved >= kMost * all;
+}
+
 }  // namespace
 
 std::optional<CameraShift> find_camera_shift(const Image<Rgb8>& a, const Image<Rgb8>& b) {
@@ -53,6 +72,8 @@ std::optional<CameraShift> find_camera_shift(const Image<Rgb8>& a, const Image<R
   cv::minMaxLoc(alike, nullptr, &most, nullptr, &best);
   if (!(most > kAlike)) return std::nullopt;
   if (double(alike.at<float>(margin)) > kUnmoved * most) best = margin;
+  if (best != margin && !moved_everywhere(first, second, middle, best - margin))
+    return std::nullopt;
   return CameraShift{{(best.x - margin.x) / scale, (best.y - margin.y) / scale}, 1 / scale};
 }
 

@@ -18,10 +18,10 @@ Result<std::optional<Frame>> UndamagedFrames::next() {
   for (std::uint64_t together = 0;; ++together) {
     auto frame = whole_->next();
     if (!is_recording_ || (!frame && frame.error().code != ErrorCode::kUnreadable)) return frame;
-    if (frame && !*frame && left_out_ > 1 && !std::exchange(ended_, true))
+    if (frame && !*frame && left_out_ > 1 && !std::exchange(ended_, true) && !quiet_)
       log_warning("{}: {} left out", name_, counted(left_out_, "damaged frame"));
     if (frame || together == kMaxTogether) return frame;
-    if (left_out_++ == 0)
+    if (left_out_++ == 0 && !quiet_)
       log_warning("{}: {}; what is whole behind it is taken", frame.error().where,
                   frame.error().detail);
   }

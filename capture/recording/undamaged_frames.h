@@ -26,6 +26,8 @@ class UndamagedFrames final : public FrameSource {
   static Result<std::unique_ptr<UndamagedFrames>> open(
       const std::filesystem::path& path, RecordedLight light = RecordedLight::kCameras,
       Seconds from = Seconds(0));
+  /// Of a capture that is played once more: nothing is logged again.
+  void keep_quiet() { quiet_ = true; }
 
   const std::vector<CameraInfo>& cameras() const override { return whole_->cameras(); }
   double view_rate() const override { return whole_->view_rate(); }
@@ -39,7 +41,7 @@ class UndamagedFrames final : public FrameSource {
 
   std::unique_ptr<FrameSource> whole_;
   std::string name_;
-  bool is_recording_, ended_ = false;
+  bool is_recording_, ended_ = false, quiet_ = false;
   std::uint64_t left_out_ = 0;
 };
 

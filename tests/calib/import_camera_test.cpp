@@ -204,6 +204,10 @@ TEST(ImportCamera, APrintedMessageOfRosIsKnownAndSmallerPicturesAreRefused) {
   }
   expect_refusal(replaced(one, "binning_x: 0", "binning_x: 2"), "binning_x");
   expect_refusal(replaced(one, "x_offset: 0", "x_offset: 8"), "roi");
+  expect_refusal(replaced(one, "  width: 0", "  width: 320"), "roi");
+  const std::string whole =
+      replaced(replaced(one, "  height: 0", "  height: 480"), "  width: 0", "  width: 640");
+  EXPECT_TRUE(parse_camera_import(whole, "info.yaml")) << "all of the picture";
 }
 
 TEST(ImportCamera, FourTermsMayBeAFisheyesAndThatIsSaid) {

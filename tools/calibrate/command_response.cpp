@@ -2,6 +2,7 @@
 #include <CLI/CLI.hpp>
 
 #include <algorithm>
+#include <numeric>
 #include <optional>
 
 #include "calib/camera/response.h"
@@ -45,7 +46,17 @@ bool any_contradicts(const std::vector<CheckedTime>& checked) {
 }
 
 // The picture without which all others agree, if there is one alone. Three are needed to agree.
-std::optional<WrongTime> find_wrong_time(const capture::ExposureStack& stack) {
+std::optional<WrongTime> find_wrong_time(const capture::ExposureStack& given) {
+  // By time, since neighbours tell most of each other.
+  std::vector<std::size_t> order(given.frames.size());
+  std::iota(order.begin(), order.end(), std::size_t{0});
+  std::ranges::stable_sort(order, {},
+                           [&](std::size_t k) { return given.exposures[k].time.count(); });
+  capture::ExposureStack stack = given;
+  for (std::size_t k = 0; k < order.size(); ++k) {
+    stack.frames[k] = given.frames[order[k]];
+    stack.exposures[k] = given.exposures[order[k]];
+  }
   const EightBitBracket all = eight_bit_bracket(stack);
   constexpr std::size_t kFewest = 4;
   if (all.pictures.size() < kFewest) return std::nullopt;
@@ -63,7 +74,7 @@ std::optional<WrongTime> find_wrong_time(const capture::ExposureStack& stack) {
     const auto checked = check_times(rest, capture::kEstimatedExponentSigma);
     if (!checked || any_contradicts(*checked)) continue;
     if (found) return std::nullopt;
-    found = WrongTime{k, stack.exposures[k].time, rest.exposures[k].time};
+    found = WrongTime{order[k], stack.exposures[k].time, rest.exposures[k].time};
   }
   return found;
 }

@@ -220,6 +220,11 @@ void print_table(const CalibrateRigOptions& o, const RigPictures& seen,
   if (c.tracker_offset_s)
     fmt::print("tracker time = camera time + {:.2f} ms +- {:.2f}\n", 1000 * *c.tracker_offset_s,
                1000 * c.tracker_offset_sigma_s);
+  if (c.board_scale && std::abs(*c.board_scale - 1) > std::max(.01, 4 * c.board_scale_sigma))
+    log_warning(
+        "{}: by the tracker's metres the board is {:.3f} times its told size, or a focal length is "
+        "off as much",
+        o.capture, *c.board_scale);
   if (c.board_scale)
     fmt::print("board by the tracker's metres: {:.4f} +- {:.4f} times its told size\n",
                *c.board_scale, c.board_scale_sigma);

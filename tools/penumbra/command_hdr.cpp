@@ -138,7 +138,9 @@ Result<ReadyStack> prepare(const HdrMergeOptions& o) {
                  o.images[reference]);
   }
   // Curve and ratios come from what is the same in all pictures, also where nobody aligns them.
-  auto common = o.align ? std::nullopt : common_part(stack);
+  // With a reference somebody has looked: what differs is left out there.
+  const bool unasked = !o.align && o.reference == 0;
+  auto common = unasked ? common_part(stack) : std::nullopt;
   capture::ExposureStack& told = common ? common->stack : stack;
   PENUMBRA_ASSIGN(response, find_response(o, told));
   stack.response = told.response = response;
@@ -150,7 +152,7 @@ Result<ReadyStack> prepare(const HdrMergeOptions& o) {
     log_warning("{} and {}: the camera moved by about {:.0f} px; --align brings them together",
                 o.images[common->moved.against], o.images[common->moved.picture],
                 common->moved.moved_px);
-  else if (!o.align && o.reference == 0)
+  else if (unasked)
     warn_of_motion(o, checked);
   if (o.align || o.reference > 0) priority(stack, reference);
   return ReadyStack{std::move(stack), std::move(checked)};
