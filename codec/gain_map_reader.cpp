@@ -21,6 +21,7 @@
 #include "codec/internal/gain_map.h"
 #include "codec/internal/icc_profile.h"
 #include "core/io/files.h"
+#include "core/io/log.h"
 
 namespace penumbra::codec {
 
@@ -268,23 +269,26 @@ std::optional<FoundGainMap> find_gain_map(Bytes file, const std::vector<Segment>
 const glm::dmat3 kRec709D50{.4360747, .2225045, .0139322, .3850649, .7168786,
                             .0971045, .1430804, .0606169, .7141733};
 
-// All of it: a long one goes on in the segments behind. Empty without one.
+// All of it: a long one goes on in further segments, by their numbers. Empty without one.
 std::vector<unsigned char> icc_of(const std::vector<Segment>& segments) {
+  std::vector<Bytes> parts;
+  for (const Segment& s : segments)
+    if (s.marker == 0xe2 && s.starts_with(kIccHead) && s.data.size() >= kIccHead.size() + 2)
+      parts.push_back(s.after(kIccHead));
+  std::ranges::stable_sort(parts, {}, [](const Bytes& part) { return part[0]; });
   std::vector<unsigned char> out;
-  for (const Segment& s : segments) {
-    if (s.marker != 0xe2 || !s.starts_with(kIccHead) || s.data.size() < kIccHead.size() + 2)
-      continue;
-    const Bytes part = s.after(kIccHead).subspan(2);  // behind its number, and of how many
-    out.insert(out.end(), part.begin(), part.end());
-  }
+  for (const Bytes& part : parts) out.insert(out.end(), part.begin() + 2, part.end());
   return out;
 }
 
-// Of a picture without a profile: sRGB.
-Result<IccProfile> profile_or_srgb(const std::vector<Segment>& segments) {
+// Of a picture without a profile, or with one of tables alone: sRGB.
+IccProfile profile_or_srgb(const std::vector<Segment>& segments, const std::string& name) {
+  const IccProfile srgb{kRec709D50, {linear_codes(), linear_codes(), linear_codes()}};
   const std::vector<unsigned char> icc = icc_of(segments);
-  if (icc.empty()) return IccProfile{kRec709D50, {linear_codes(), linear_codes(), linear_codes()}};
-  return parse_icc_profile(icc);
+  if (icc.empty()) return srgb;
+  const auto profile = parse_icc_profile(icc);
+  if (!profile) log_warning("{}: {}: taken for sRGB", name, profile.error().detail);
+  return profile.value_or(srgb);
 }
 // The same where profiles round.
 bool are_same(const glm::dmat3& a, const glm::dmat3& b) {
@@ -349,20 +353,17 @@ Result<HdrImage> decode_gain_map_jpeg(std::span<const unsigned char> jpeg,
   const GainMap& map = found->map;
   if (map.base_is_hdr)
     return fail(ErrorCode::kInvalid, name, "has a gain map from a base that is the brighter one");
-  const auto profile = profile_or_srgb(segments);
-  if (!profile) return fail(ErrorCode::kInvalid, name, profile.error().detail);
-  if (!map.in_base_primaries) {
-    const auto of_map = profile_or_srgb(segments_of(found->picture));
-    if (!of_map) return fail(ErrorCode::kInvalid, name, "gain map " + of_map.error().detail);
-    if (!are_same(profile->primaries, of_map->primaries))
-      return fail(ErrorCode::kInvalid, name, "has a gain map in other primaries than its base");
-  }
+  const IccProfile profile = profile_or_srgb(segments, name);
+  if (!map.in_base_primaries &&
+      !are_same(profile.primaries,
+                profile_or_srgb(segments_of(found->picture), name + ", gain map").primaries))
+    return fail(ErrorCode::kInvalid, name, "has a gain map in other primaries than its base");
   PENUMBRA_ASSIGN(base, decode_picture(jpeg, name));
   PENUMBRA_ASSIGN(codes, decode_picture(found->picture, name + ", gain map"));
   const auto exposure = xmp_numbers(xmp_of(segments), "penumbra:Exposure");
   const float scale = exposure && std::isnormal(1 / (*exposure)[0]) ? 1 / (*exposure)[0] : 1;
-  const auto rec709 = to_rec709(profile->primaries);
-  const auto& linear = profile->linear;
+  const auto rec709 = to_rec709(profile.primaries);
+  const auto& linear = profile.linear;
   const ScaledCodes gains(codes, base.width(), base.height());
   HdrImage out{Image<Rgb>(base.width(), base.height()), 0, {}, {}};
   for (int y = 0; y < base.height(); ++y)
@@ -382,9 +383,11 @@ Result<HdrImage> decode_gain_map_jpeg(std::span<const unsigned char> jpeg,
 
 Result<FramePixels> read_picture(const std::filesystem::path& path) {
   PENUMBRA_ASSIGN(bytes, read_bytes(path));
-  auto hdr = is_jpeg(bytes) ? decode_gain_map_jpeg(bytes, path.string()) : HdrImage{};
-  if (!hdr || hdr->pixels.empty()) return read_frame(path);
-  return std::move(hdr->pixels);
+  if (!has_gain_map(bytes)) return read_frame(path);
+  auto hdr = decode_gain_map_jpeg(bytes, path.string());
+  if (hdr) return std::move(hdr->pixels);
+  log_warning("{}: its gain map is left out, which {}", path.string(), hdr.error().detail);
+  return read_frame(path);
 }
 
 }  // namespace penumbra::codec

@@ -6,6 +6,7 @@
 #include <cmath>
 #include <glm/geometric.hpp>
 #include <glm/vec4.hpp>
+#include <limits>
 
 #include "core/conventions.h"
 
@@ -65,7 +66,7 @@ void ViewLens::make_radius() {
 }
 
 // Pinholes fold back where a corner of the picture has no ray; a fisheye's picture ends there, but
-// none ends so near its axis that a wrong term alone explains it.
+// none ends so near its axis, and within the picture, that a wrong term alone explains it.
 Result<void> ViewLens::make_rays(const std::string& where) {
   const auto [width, height] = std::pair(model_.width, model_.height);
   const auto nodes = [](int pixels) { return static_cast<std::size_t>(pixels / kCell) + 2; };
@@ -73,7 +74,9 @@ Result<void> ViewLens::make_rays(const std::string& where) {
   const std::size_t rows = nodes(height);
   for (auto* v : {&x_, &y_, &z_}) v->assign(columns_ * rows + kPadding, 0);
   double max_angle = 0;
-  bool ends = false;
+  const glm::dvec2 axis = model_.principal_px;
+  const double border = std::min({axis.x, width - axis.x, axis.y, height - axis.y});
+  double end_px = std::numeric_limits<double>::infinity();  // nearest to the axis
   for (std::size_t j = 0; j < rows; ++j)
     for (std::size_t i = 0; i < columns_; ++i) {
       const glm::dvec2 at(double(i) * kCell, double(j) * kCell);
@@ -85,7 +88,7 @@ Result<void> ViewLens::make_rays(const std::string& where) {
                     fmt::format("has a distortion whose picture folds back on itself at pixel "
                                 "{:.0f}, {:.0f}",
                                 inside.x, inside.y));
-      ends |= !ray;
+      if (!ray) end_px = std::min(end_px, glm::distance(inside, axis));
       if (!ray) continue;
       max_angle = std::max(max_angle, angle_of(*ray));
       glm::dvec3 there = *ray;
@@ -100,7 +103,8 @@ Result<void> ViewLens::make_rays(const std::string& where) {
       z_[n] = static_cast<float>(there.z);
     }
   constexpr double kNarrowestFisheye = 70 * kPi / 180;
-  if (ends && max_angle < kNarrowestFisheye)
+  constexpr double kWithin = .8;  // of what a circle in the picture would reach
+  if (end_px < kWithin * border && max_angle < kNarrowestFisheye)
     return fail(ErrorCode::kInvalid, where,
                 fmt::format("has a distortion whose picture folds back on itself {:.0f} degrees "
                             "from the axis, within the picture",

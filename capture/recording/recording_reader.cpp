@@ -180,6 +180,7 @@ class Recording final : public FrameSource {
   Result<void> keep_picture(Packet packet);
   Result<void> keep_label(const AVPacket& label, std::size_t camera);
   Result<void> read_ahead();
+  std::int64_t skipped_before(const AVPacket& packet);
   std::unexpected<Error> unreadable(std::string detail) const {
     return fail(ErrorCode::kUnreadable, path_.string(), std::move(detail));
   }
@@ -195,6 +196,8 @@ class Recording final : public FrameSource {
   std::optional<MapTrack> maps_;      // of the last one, if that gives maps
   std::deque<CodedFrame> ahead_;
   bool ended_ = false;
+  bool reads_all_ = false;  // no track is left out
+  std::int64_t end_ = -1;   // of the last packet in the file
   double view_rate_ = 0;
   std::int64_t views_from_ms_ = 0;  // by the file's times
 };
@@ -328,6 +331,7 @@ Result<void> Recording::find_tracks() {
     track->labels = labels->index;
     tracks_.push_back(std::move(*track));
   }
+  reads_all_ = true;
   // What nobody asks for is not read.
   for (unsigned i = 0; i < container_->nb_streams; ++i) {
     const int n = static_cast<int>(i);
@@ -336,6 +340,8 @@ Result<void> Recording::find_tracks() {
           return t.stream() == n || t.labels == n;
         });
     container_->streams[i]->discard = wanted ? AVDISCARD_DEFAULT : AVDISCARD_ALL;
+    const bool media = container_->streams[i]->codecpar->codec_type != AVMEDIA_TYPE_ATTACHMENT;
+    reads_all_ &= wanted || !media;
   }
   return {};
 }
@@ -348,6 +354,7 @@ Result<void> Recording::begin_at(Seconds from) {
   if (light_ms <= 0) return {};
   AVStream* const stream = container_->streams[tracks_.back().stream()];  // a light track's is last
   const auto at = av_rescale_q(light_ms, kMilliseconds, stream->time_base);
+  end_ = -1;
   if (av_seek_frame(container_.get(), stream->index, at, AVSEEK_FLAG_BACKWARD) >= 0 &&
       avformat_index_get_entry_from_timestamp(stream, at, AVSEEK_FLAG_BACKWARD))
     return {};
@@ -435,13 +442,27 @@ Result<void> Recording::read_ahead() {
     // A recording that was cut off ends inside an element.
     if (r == AVERROR_EOF || r == AVERROR_INVALIDDATA) break;
     if (ended_) return unreadable(av_reason(r));  // once: what was read before is still handed on
+    const std::int64_t skipped = skipped_before(*packet);
+    const std::string place = at(*packet);
     const auto labelled = std::ranges::find(tracks_, packet->stream_index, &PictureTrack::labels);
     if (labelled == tracks_.end())
       PENUMBRA_TRY(keep_picture(std::move(packet)));
     else
       PENUMBRA_TRY(keep_label(*packet, static_cast<std::size_t>(labelled - tracks_.begin())));
+    if (skipped > 0)
+      return fail(ErrorCode::kUnreadable, place,
+                  fmt::format("{} bytes before it cannot be read", skipped));
   }
   return {};
+}
+
+// FFmpeg goes on silently behind what it cannot read. Where all tracks are read, packets follow
+// each other with little between them.
+std::int64_t Recording::skipped_before(const AVPacket& packet) {
+  constexpr std::int64_t kHeads = 4096;  // of clusters and blocks
+  if (!reads_all_ || packet.pos < 0) return 0;
+  const std::int64_t before = std::exchange(end_, packet.pos + packet.size);
+  return before >= 0 && packet.pos > before + kHeads ? packet.pos - before : 0;
 }
 
 Result<std::optional<Frame>> Recording::decode_map(const CodedFrame& coded) {

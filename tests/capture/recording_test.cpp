@@ -14,6 +14,7 @@
 
 #include "calib/calib.h"
 #include "capture/capture.h"
+#include "capture/recording/undamaged_frames.h"
 #include "codec/codec.h"
 #include "tests/support/temp_folder.h"
 
@@ -130,6 +131,31 @@ TEST_F(RecordingTest, EveryBitOfPicturesAndLabelsComesBack) {
     expect_same_label(written[i], (*read)[i]);
     EXPECT_TRUE(*written[i].pixels == *(*read)[i].pixels) << "pixels of frame " << i;
   }
+}
+
+// FFmpeg resumes behind a hole and says nothing: the lost frames would be nobody's.
+TEST_F(RecordingTest, AHoleIsToldOnce) {
+  const std::size_t written = write(40).size();
+  const auto frames = [&](std::uint64_t& holes) {
+    auto source = UndamagedFrames::open(path_);
+    EXPECT_TRUE(source);
+    std::size_t count = 0;
+    for (auto f = (*source)->next(); f && *f; f = (*source)->next()) ++count;
+    holes = (*source)->left_out();
+    return count;
+  };
+  std::uint64_t holes = 0;
+  EXPECT_EQ(frames(holes), written);
+  EXPECT_EQ(holes, 0u);
+  const auto size = static_cast<std::streamoff>(fs::file_size(path_));
+  {
+    std::fstream file(path_, std::ios::binary | std::ios::in | std::ios::out);
+    file.seekp(size / 2);
+    file << std::string(static_cast<std::size_t>(size / 6), '\0');
+  }
+  EXPECT_LT(frames(holes), written);
+  EXPECT_GE(holes, 1u);
+  EXPECT_LE(holes, 3u);
 }
 
 TEST_F(RecordingTest, CamerasComeBackWithTheirResponseTables) {

@@ -199,6 +199,7 @@ class Faults(OwnDaemons):
 
     def test_it_outlives_a_lack_of_descriptors(self):
         daemon = self.started(limits=[(resource.RLIMIT_NOFILE, 96)])
+        self.wait_until_ok(daemon)  # what it reads at its start has been read
         clients = []
         try:
             for _ in range(200):

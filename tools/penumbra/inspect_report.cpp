@@ -3,8 +3,10 @@
 #include <fmt/format.h>
 
 #include <cmath>
+#include <fstream>
 #include <sstream>
 #include <string_view>
+#include <vector>
 
 #include "calib/estimate/boards.h"
 #include "core/io/files.h"
@@ -29,18 +31,36 @@ std::string_view between(std::string_view text, std::string_view before, std::st
 
 }  // namespace
 
+namespace {
+
+// Names between commas; one in quotes may hold commas.
+std::vector<std::string> names_in(std::string_view line) {
+  std::vector<std::string> out(1);
+  bool quoted = false;
+  for (const char c : line) {
+    if (c == '"')
+      quoted = !quoted;
+    else if (c == ',' && !quoted)
+      out.emplace_back();
+    else
+      out.back() += c;
+  }
+  return out;
+}
+
+}  // namespace
+
 Result<nlohmann::json> inspect_table(const std::string& file) {
-  PENUMBRA_ASSIGN(text, read_text(file));
-  constexpr std::string_view kByteOrderMark = "\xEF\xBB\xBF";
-  if (text.starts_with(kByteOrderMark)) text.erase(0, kByteOrderMark.size());
-  std::istringstream lines(text);
+  constexpr std::string_view kByteOrderMark = "\xEF\xBB\xBF", kBlanks = ", \r\t";
+  std::ifstream lines(file, std::ios::binary);
+  if (!lines) return fail(ErrorCode::kNotFound, file, "cannot be read");
   std::string line;
-  if (text.find('\0') != std::string::npos || !std::getline(lines, line) ||
-      line.find_first_not_of(", \r") == std::string::npos)
+  std::getline(lines, line);
+  if (line.starts_with(kByteOrderMark)) line.erase(0, kByteOrderMark.size());
+  const std::size_t last = line.find_last_not_of(" \r");
+  if (line.find('\0') != std::string::npos || line.find_first_not_of(kBlanks) == std::string::npos)
     return fail(ErrorCode::kUnreadable, file, "is no table: its first line names no columns");
-  nlohmann::json columns = nlohmann::json::array();
-  std::istringstream names(line.substr(0, line.find_last_not_of(" \r") + 1));
-  for (std::string name; std::getline(names, name, ',');) columns.push_back(name);
+  const std::vector<std::string> columns = names_in(std::string_view(line).substr(0, last + 1));
   std::size_t rows = 0;
   while (std::getline(lines, line)) rows += line.find_first_not_of(" \r") != std::string::npos;
   return nlohmann::json{{"kind", "table"}, {"columns", columns}, {"rows", rows}};
@@ -48,12 +68,15 @@ Result<nlohmann::json> inspect_table(const std::string& file) {
 
 Result<nlohmann::json> inspect_plot(const std::string& file) {
   PENUMBRA_ASSIGN(text, read_text(file));
+  if (text.find("<svg") == std::string::npos)
+    return fail(ErrorCode::kUnreadable, file, "is no SVG");
   const std::string_view head = between(text, "<svg", ">");
-  if (head.empty()) return fail(ErrorCode::kUnreadable, file, "is no SVG");
   nlohmann::json out = {{"kind", "plot"}};
   for (const char* const side : {"width", "height"})
-    if (const auto value = between(head, fmt::format(" {}=\"", side), "\""); !value.empty())
-      out[side] = value;
+    for (const char* const blank : {" ", "\n", "\t"})
+      if (const auto value = between(head, fmt::format("{}{}=\"", blank, side), "\"");
+          !value.empty())
+        out[side] = value;
   if (const auto title = between(text, "<title>", "</title>"); !title.empty()) out["title"] = title;
   return out;
 }
