@@ -1,5 +1,7 @@
 #include "service/head_poses.h"
 
+#include <fmt/format.h>
+
 namespace penumbra::service {
 
 namespace {
@@ -12,7 +14,8 @@ constexpr Seconds kPatience(2);  // in which a tracker finds its place
 std::optional<capture::FramePose> HeadPoses::pose_of(const capture::Frame& frame) {
   constexpr double kSigma_m = .001, kSigma_rad = .002;
   constexpr double kSigmaUntracked_m = .1;  // of a sitting person's head
-  const auto head = headset_->head_at(frame.time);
+  const auto head =
+      hand_ ? headset_->controller_at(*hand_, frame.time) : headset_->head_at(frame.time);
   const std::scoped_lock lock(mutex_);
   asked_ = frame.time;
   if (head && head->position_tracked) place_tracked_ = true;
@@ -31,15 +34,21 @@ std::optional<capture::FramePose> HeadPoses::pose_of(const capture::Frame& frame
   // What the runtime makes up while it does not see would let objects drift.
   if (!follows || (!head->position_tracked && !follows_turns_alone(frame.time))) {
     ++missed_;
-    missing_ = !head      ? "the runtime tells no pose of the head for the time of the picture"
-               : !follows ? "the headset does not track how it is turned"
-               : place_tracked_
-                   ? "the headset has lost its place"
-                   : "the headset does not track where it is: waits whether it finds its place";
+    const std::string_view device = device_name();
+    if (!head)
+      missing_ =
+          fmt::format("the runtime tells no pose of the {} for the time of the picture", device);
+    else if (!follows)
+      missing_ = fmt::format("it is not tracked how the {} is turned", device);
+    else if (place_tracked_)
+      missing_ = fmt::format("the {} has lost its place", device);
+    else
+      missing_ = fmt::format("it is not tracked where the {} is: waits whether it finds its place",
+                             device);
     return std::nullopt;
   }
   ++taken_;
-  missing_ = {};
+  missing_.clear();
   last_ = frame.time;
   return capture::FramePose{head->world_from_device,
                             head->position_tracked ? kSigma_m : kSigmaUntracked_m, kSigma_rad,
@@ -51,8 +60,13 @@ void HeadPoses::start_anew() {
   turns_alone_ = false;
 }
 
+std::string_view HeadPoses::device_name() const {
+  if (!hand_) return "head";
+  return *hand_ == Hand::kLeft ? "left controller" : "right controller";
+}
+
 bool HeadPoses::follows_turns_alone(TimestampNs time) {
-  if (place_tracked_) return false;
+  if (place_tracked_ || hand_) return false;
   if (!untracked_since_) untracked_since_ = time;
   return turns_alone_ = time - *untracked_since_ >= kPatience;
 }
@@ -61,7 +75,8 @@ capture::PoseSourceState HeadPoses::state() const {
   const HeadsetState headset = headset_->state();
   const std::scoped_lock lock(mutex_);
   capture::PoseSourceState out;
-  out.name = "openxr: the head of " + (headset.headset.empty() ? "no headset" : headset.headset);
+  out.name = fmt::format("openxr: the {} of {}", device_name(),
+                         headset.headset.empty() ? "no headset" : headset.headset);
   if (last_ && asked_) out.age = *asked_ - *last_;
   out.taken = taken_;
   out.refused = missed_;

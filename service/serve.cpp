@@ -417,7 +417,10 @@ Result<void> Service::run() {
     headset_ = std::move(headset);
   }
   // A studio takes seconds to render its room, and a stop does not wait for it.
-  auto head = follows_head ? std::make_unique<HeadPoses>(headset_) : nullptr;
+  std::optional<Hand> hand;
+  if (follows_head && config_.pose->device != "head")
+    hand = config_.pose->device == "left" ? Hand::kLeft : Hand::kRight;
+  auto head = follows_head ? std::make_unique<HeadPoses>(headset_, hand) : nullptr;
   auto opening = std::async(std::launch::async, [&] {
     return open_rig(config_, progress_, PlayedTimes::kOfNow, std::move(head));
   });

@@ -27,7 +27,7 @@ const std::array<SourceKeys, 4>& source_keys() {
       {{"board", {"boards"}},
        {"track", {"file", "clock_offset_s"}},
        {"stream", {"socket", "port", "clock", "clock_offset_s"}},
-       {"openxr", {}}}};
+       {"openxr", {"device"}}}};
   return all;
 }
 
@@ -115,9 +115,9 @@ Result<void> read_stream(const TomlKeys& keys, const fs::path& folder, PoseConfi
 }  // namespace
 
 Result<PoseConfig> read_pose_config(const fs::path& path, const TomlKeys& keys) {
-  constexpr std::string_view pose_keys[] = {"source", "cameras", "calibration",
-                                            "boards", "file",    "socket",
-                                            "port",   "clock",   "clock_offset_s"};
+  constexpr std::string_view pose_keys[] = {"source", "cameras",       "calibration", "boards",
+                                            "file",   "socket",        "port",        "clock",
+                                            "device", "clock_offset_s"};
   const fs::path folder = path.parent_path();
   PENUMBRA_TRY(keys.only(pose_keys));
   PoseConfig c;
@@ -135,6 +135,12 @@ Result<PoseConfig> read_pose_config(const fs::path& path, const TomlKeys& keys) 
   if (keys.has("clock_offset_s")) {
     PENUMBRA_ASSIGN(offset, keys.number("clock_offset_s"));
     c.clock_offset_s = offset;
+  }
+  if (keys.has("device")) {
+    PENUMBRA_ASSIGN(device, keys.text("device"));
+    if (device != "head" && device != "left" && device != "right")
+      return keys.invalid("device", "is none of \"head\", \"left\" and \"right\"");
+    c.device = device;
   }
   if (source == "board") PENUMBRA_TRY(read_boards(keys, path, c));
   if (source == "stream") PENUMBRA_TRY(read_stream(keys, folder, c));

@@ -27,6 +27,7 @@ struct PoseConfig {
   std::optional<int> port;
   bool by_arrival = false;
   double clock_offset_s = 0;
+  std::string device = "head";  // of "openxr": or "left" or "right", a controller
 };
 
 /// path: of rig.toml; names in it are relative to its folder

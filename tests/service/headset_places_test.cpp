@@ -275,9 +275,9 @@ TEST_F(HeadsetOutput, WithoutTrackingNothingIsPlaced) {
 
 class PosesOfTheHead : public HeadsetOutput {
  protected:
-  bool starts() {
+  bool starts(std::optional<Hand> hand = {}) {
     if (!runs()) return false;
-    poses_ = std::make_unique<HeadPoses>(std::shared_ptr<const Headset>(std::move(headset_)));
+    poses_ = std::make_unique<HeadPoses>(std::shared_ptr<const Headset>(std::move(headset_)), hand);
     std::this_thread::sleep_for(std::chrono::milliseconds(300));
     return true;
   }
@@ -301,6 +301,20 @@ TEST_F(PosesOfTheHead, AreTheTrackedOnes) {
   EXPECT_EQ(poses_->state().trouble, "");
   EXPECT_EQ(poses_->state().taken, 1u);
   EXPECT_THAT(poses_->state().name, ::testing::HasSubstr("openxr"));
+}
+
+// A camera that is fixed to a controller.
+TEST_F(PosesOfTheHead, OrOfAController) {
+  PENUMBRA_START();
+  ASSERT_TRUE(starts(Hand::kRight));
+  std::optional<capture::FramePose> pose;
+  ASSERT_TRUE(within(5, [&] { return (pose = pose_now()).has_value(); }));
+  EXPECT_NEAR(pose->pose.translation.x, .2, 1e-5);
+  EXPECT_THAT(poses_->state().name, ::testing::HasSubstr("the right controller of"));
+  capture::Frame old;
+  old.time = now_ns() + Seconds(-10);
+  EXPECT_FALSE(poses_->pose_of(old));
+  EXPECT_THAT(poses_->state().trouble, ::testing::HasSubstr("no pose of the right controller"));
 }
 
 TEST_F(PosesOfTheHead, OfOneThatOnlyTurnsAreTakenAfterAWhileAndSaySo) {

@@ -294,6 +294,9 @@ TEST_F(PoseKeys, TellWhereEachFramesPoseComesFrom) {
   const auto track = read("source = \"track\"\nfile = \"head.csv\"\nclock_offset_s = -0.5\n");
   ASSERT_TRUE(track) << track.error().detail;
   EXPECT_EQ(track->pose->file, folder_.path() / "head.csv");
+  const auto hand = read("source = \"openxr\"\ndevice = \"left\"\n");
+  ASSERT_TRUE(hand) << hand.error().detail;
+  EXPECT_EQ(hand->pose->device, "left");
 }
 
 TEST_F(PoseKeys, ThatMeanNothingAreRefused) {
@@ -302,6 +305,9 @@ TEST_F(PoseKeys, ThatMeanNothingAreRefused) {
   expect_refused("either a socket or a port", "source = \"stream\"\n");
   expect_refused("either a socket or a port", "source = \"stream\"\nport = 1\nsocket = \"a\"\n");
   expect_refused("belongs to source = \"track\"", "source = \"openxr\"\nfile = \"a.csv\"\n");
+  expect_refused("belongs to source = \"openxr\"",
+                 "source = \"stream\"\nport = 1\ndevice = \"left\"\n");
+  expect_refused("none of \"head\"", "source = \"openxr\"\ndevice = \"foot\"\n");
   expect_refused("neither \"sender\" nor \"arrival\"",
                  "source = \"stream\"\nport = 1\nclock = \"mine\"\n");
   expect_refused("did you mean \"clock_offset_s\"",
