@@ -194,9 +194,14 @@ Result<void> CaptureFolderWriter::write(const Frame& frame) {
   const bool linear = std::holds_alternative<Image<Rgb>>(*frame.pixels);
   const std::string file = fmt::format("{}/{:06}.{}", cameras_[n].name,
                                        last ? number_of(*last) + 1 : 0, linear ? "exr" : "png");
-  const std::string row = print_row({file, frame.time, frame.exposure, frame.world_from_camera});
+  const std::string row =
+      print_row({file, frame.time, frame.exposure, frame.world_from_camera, frame.opacity});
   PENUMBRA_TRY(parse_row(row, true, file));  // what cannot be read back is not written
   PENUMBRA_TRY(write_picture(folder_ / file, *frame.pixels));
+  // The head tells of a column once a row has it.
+  const std::size_t head = rows_[n].find('\n');
+  if (frame.opacity < 1 && !std::string_view(rows_[n]).substr(0, head).ends_with(kOpacityHeader))
+    rows_[n].insert(head, kOpacityHeader);
   rows_[n] += row + "\n";
   return {};
 }

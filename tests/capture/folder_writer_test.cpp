@@ -90,9 +90,12 @@ std::vector<Frame> frames_in_order() {
   const auto linear = picture<Rgb>([](int n) {
     return Rgb{1e-5f * static_cast<float>(n), 3e4f, 1.f / 3};
   });
-  return {frame(1, 0, 0, 1. / 3, 1, picture8(1)), frame(2, 0, 0, .01, 1.7, linear),
-          frame(0, 0, 0, .02, 1, deep),           frame(1, 1, 1, .04, 1, picture8(2)),
-          frame(0, 1, 16'666'667, .02, 4, deep),  frame(1, 2, 33'333'333, 1e-6, 1, picture8(3))};
+  std::vector<Frame> out = {
+      frame(1, 0, 0, 1. / 3, 1, picture8(1)), frame(2, 0, 0, .01, 1.7, linear),
+      frame(0, 0, 0, .02, 1, deep),           frame(1, 1, 1, .04, 1, picture8(2)),
+      frame(0, 1, 16'666'667, .02, 4, deep),  frame(1, 2, 33'333'333, 1e-6, 1, picture8(3))};
+  out[4].opacity = .4f;  // its pose is old
+  return out;
 }
 
 void expect_same(const Frame& a, const Frame& b) {
@@ -102,6 +105,7 @@ void expect_same(const Frame& a, const Frame& b) {
   EXPECT_EQ(a.exposure.time.count(), b.exposure.time.count());
   EXPECT_EQ(a.exposure.gain.value(), b.exposure.gain.value());
   EXPECT_EQ(a.world_from_camera, b.world_from_camera);
+  EXPECT_EQ(a.opacity, b.opacity);
   EXPECT_TRUE(*a.pixels == *b.pixels);
 }
 
