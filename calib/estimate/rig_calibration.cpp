@@ -245,6 +245,18 @@ class Adjustment {
     return out;
   }
 
+  // With another lens of a camera, from where it is; nothing where that does not converge.
+  std::optional<Adjustment> solved_with(const CameraModel& lens, std::size_t camera,
+                                        std::span<const RigObservation> views) const {
+    Adjustment out = *this;
+    for (std::size_t v = 0; v < views.size(); ++v)
+      if (observed_[v].camera == camera) out.observed_[v].corners = corners_of(lens, views[v].view);
+    ceres::Problem problem;
+    out.build(problem, true);
+    if (!solve(problem)) return std::nullopt;
+    return out;
+  }
+
   // With each lens moved along each axis of its uncertainty the rig is solved anew from where it
   // is. What the poses move by are the columns of a root of what the lenses add.
   Result<void> add_lens_uncertainty(std::span<const RigCameraInput> cameras,
@@ -253,22 +265,17 @@ class Adjustment {
     for (std::size_t c = 0; c < cameras.size(); ++c) {
       if (cameras[c].lens_covariance.empty()) continue;
       for (const CameraModel& lens : moved_lenses(cameras[c])) {
-        Adjustment moved = *this;
-        for (std::size_t v = 0; v < views.size(); ++v)
-          if (observed_[v].camera == c)
-            moved.observed_[v].corners = corners_of(lens, views[v].view);
-        ceres::Problem problem;
-        moved.build(problem, true);
-        if (!solve(problem))
+        const auto moved = solved_with(lens, c, views);
+        if (!moved)
           return rig_undetermined(
               fmt::format("the lens of {} is too uncertain to say how sure its pose "
                           "is: calibrate it better",
                           cameras[c].name));
         for (std::size_t k = 0; k < cameras_.size(); ++k)
           for (std::size_t i = 0; i < 36; ++i)
-            lens_part_[k][i] += (moved.cameras_[k][i / 6] - cameras_[k][i / 6]) *
-                                (moved.cameras_[k][i % 6] - cameras_[k][i % 6]);
-        lens_part_of_offset_ += (moved.offset_s_ - offset_s_) * (moved.offset_s_ - offset_s_);
+            lens_part_[k][i] += (moved->cameras_[k][i / 6] - cameras_[k][i / 6]) *
+                                (moved->cameras_[k][i % 6] - cameras_[k][i % 6]);
+        lens_part_of_offset_ += (moved->offset_s_ - offset_s_) * (moved->offset_s_ - offset_s_);
       }
     }
     return {};
@@ -411,15 +418,9 @@ class Adjustment {
     for (std::size_t c = 0; c < cameras.size(); ++c) {
       all_known &= !cameras[c].lens_covariance.empty();
       if (cameras[c].lens_covariance.empty()) continue;
-      for (const CameraModel& lens : moved_lenses(cameras[c])) {
-        Adjustment moved = open;
-        for (std::size_t v = 0; v < views.size(); ++v)
-          if (observed_[v].camera == c)
-            moved.observed_[v].corners = corners_of(lens, views[v].view);
-        ceres::Problem again;
-        moved.build(again, true);
-        if (solve(again)) by_lenses += std::pow(moved.board_scale_ - open.board_scale_, 2);
-      }
+      for (const CameraModel& lens : moved_lenses(cameras[c]))
+        if (const auto moved = open.solved_with(lens, c, views))
+          by_lenses += std::pow(moved->board_scale_ - open.board_scale_, 2);
     }
     out.board_scale = open.board_scale_;
     out.board_scale_sigma = std::sqrt(std::max(0., variance) + by_lenses);

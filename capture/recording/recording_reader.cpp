@@ -443,7 +443,7 @@ Result<void> Recording::read_ahead() {
     if (r == AVERROR_EOF || r == AVERROR_INVALIDDATA) break;
     if (ended_) return unreadable(av_reason(r));  // once: what was read before is still handed on
     const std::int64_t skipped = skipped_before(*packet);
-    const std::string place = at(*packet);
+    const std::string place = skipped > 0 ? at(*packet) : std::string();
     const auto labelled = std::ranges::find(tracks_, packet->stream_index, &PictureTrack::labels);
     if (labelled == tracks_.end())
       PENUMBRA_TRY(keep_picture(std::move(packet)));

@@ -19,7 +19,7 @@ Result<std::optional<Frame>> UndamagedFrames::next() {
     auto frame = whole_->next();
     if (!is_recording_ || (!frame && frame.error().code != ErrorCode::kUnreadable)) return frame;
     if (frame && !*frame && left_out_ > 1 && !std::exchange(ended_, true) && !quiet_)
-      log_warning("{}: {} left out", name_, counted(left_out_, "damaged frame"));
+      log_warning("{}: frames at {} are left out", name_, counted(left_out_, "damaged place"));
     if (frame || together == kMaxTogether) return frame;
     if (left_out_++ == 0 && !quiet_)
       log_warning("{}: {}; what is whole behind it is taken", frame.error().where,

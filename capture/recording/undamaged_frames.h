@@ -33,6 +33,7 @@ class UndamagedFrames final : public FrameSource {
   double view_rate() const override { return whole_->view_rate(); }
   /// errors: kUnreadable where nothing whole follows for long
   Result<std::optional<Frame>> next() override;
+  /// Places at which frames could not be read, or were missing.
   std::uint64_t left_out() const { return left_out_; }
 
  private:

@@ -3,9 +3,11 @@
 
 #include <algorithm>
 #include <cmath>
+#include <filesystem>
 #include <glm/gtc/quaternion.hpp>
 
 #include "calib/camera/calibration_files.h"
+#include "calib/camera/response.h"
 #include "calib/estimate/boards.h"
 #include "calib/estimate/rig_calibration.h"
 #include "capture/frames.h"
@@ -111,6 +113,9 @@ Result<RigPictures> look(const CalibrateRigOptions& o, const calib::Board& board
   seen.all = source->cameras();
   PENUMBRA_TRY(choose_cameras(o, seen));
   PENUMBRA_TRY(set_lenses(o, seen));
+  if (o.lens_file &&
+      std::ranges::none_of(seen.parts, [](const RigPart& part) { return part.lens.has_value(); }))
+    return fail(ErrorCode::kInvalid, "--lens-file", "is of cameras with [[camera.lens]]");
   if (seen.cameras.size() == 1 && !o.tracker && o.board_plane.empty())
     return fail(ErrorCode::kInvalid, seen.cameras[0].name,
                 "is one camera alone, whose pose needs --tracker or --board-plane");
@@ -220,11 +225,6 @@ void print_table(const CalibrateRigOptions& o, const RigPictures& seen,
   if (c.tracker_offset_s)
     fmt::print("tracker time = camera time + {:.2f} ms +- {:.2f}\n", 1000 * *c.tracker_offset_s,
                1000 * c.tracker_offset_sigma_s);
-  if (c.board_scale && std::abs(*c.board_scale - 1) > std::max(.01, 4 * c.board_scale_sigma))
-    log_warning(
-        "{}: by the tracker's metres the board is {:.3f} times its told size, or a focal length is "
-        "off as much",
-        o.capture, *c.board_scale);
   if (c.board_scale)
     fmt::print("board by the tracker's metres: {:.4f} +- {:.4f} times its told size\n",
                *c.board_scale, c.board_scale_sigma);
@@ -241,7 +241,13 @@ Result<void> write_lens_file(const std::string& file, const RigPictures& seen,
     if (one.lenses.empty()) continue;
     capture::CameraInfo info = seen.all[one.camera];
     info.lenses = one.lenses;
-    text += capture::print_camera(info, info.response.describe());
+    std::string response = info.response.describe();
+    if (response.starts_with("table")) {  // has no name: goes into a file of its own
+      response = info.name + ".response.toml";
+      PENUMBRA_TRY(calib::write_response(std::filesystem::path(file).parent_path() / response,
+                                         info.response));
+    }
+    text += capture::print_camera(info, response);
   }
   return write_bytes(file, text);
 }
@@ -339,6 +345,8 @@ Result<void> calibrate_rig(const CalibrateRigOptions& o) {
   if (o.lens_file) PENUMBRA_TRY(check_writable(*o.lens_file));
   if (o.report) PENUMBRA_TRY(make_folder(*o.report));
   PENUMBRA_ASSIGN(seen, look(o, board));
+  const bool has_lenses =
+      std::ranges::any_of(seen.parts, [](const RigPart& part) { return part.lens.has_value(); });
   if (seen.boards.empty())
     return fail(
         ErrorCode::kUndetermined, "rig calibration",
@@ -346,6 +354,12 @@ Result<void> calibrate_rig(const CalibrateRigOptions& o) {
                     "counts?",
                     seen.pictures));
   PENUMBRA_ASSIGN(result, calib::calibrate_rig(seen.cameras, seen.boards, options));
+  if (result.board_scale &&
+      std::abs(*result.board_scale - 1) > std::max(.01, 4 * result.board_scale_sigma))
+    log_warning(
+        "{}: by the tracker's metres the board is {:.3f} times its told size, or a focal length is "
+        "off as much",
+        o.capture, *result.board_scale);
   Pose file_from_rig;
   if (board_in_world) {
     PENUMBRA_ASSIGN(board_pose, still_board(result));
@@ -355,10 +369,6 @@ Result<void> calibrate_rig(const CalibrateRigOptions& o) {
   for (const calib::RigCameraPose& c : result.cameras)
     poses.push_back(file_from_rig * c.rig_from_camera);
   const std::vector<JoinedCamera> joined = join(seen.parts, poses, seen.all);
-  const bool has_lenses =
-      std::ranges::any_of(joined, [](const JoinedCamera& one) { return !one.lenses.empty(); });
-  if (o.lens_file && !has_lenses)
-    return fail(ErrorCode::kInvalid, "--lens-file", "is of cameras with [[camera.lens]]");
   PENUMBRA_TRY(write_bytes(o.output, print_pose_file(o, seen, result, joined)));
   if (o.lens_file) PENUMBRA_TRY(write_lens_file(*o.lens_file, seen, joined));
   if (o.report) PENUMBRA_TRY(write_rig_report(*o.report, seen.cameras, poses, result));
