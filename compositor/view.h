@@ -88,6 +88,7 @@ struct Pointer {
   double wheel = 0;                  // notches, away from the user, since the picture before
   int number = 0;                    // key 1 to 9 that was pressed since then; 0: none
   bool space = false;                // the space bar was pressed since then
+  bool shift = false;                // a shift key is held
 };
 
 }  // namespace penumbra::compositor

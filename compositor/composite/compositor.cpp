@@ -147,10 +147,10 @@ void Compositor::update_vertices(int object, const prt::Mesh& mesh) {
   impl_->layers->update_vertices(object, mesh);
 }
 
-void Compositor::set_pose(int object, const Pose& world_from_bake) {
-  impl_->layers->set_pose(object, world_from_bake);
+void Compositor::set_pose(int object, const Pose& world_from_bake, const Pose& world_from_floor) {
+  impl_->layers->set_pose(object, world_from_bake, world_from_floor);
   if (const int r = impl_->receiver_of[static_cast<std::size_t>(object)]; r >= 0)
-    impl_->receivers.set_pose(r, world_from_bake);
+    impl_->receivers.set_pose(r, world_from_floor);
 }
 
 void Compositor::show(int object, bool visible) {

@@ -68,8 +68,12 @@ class Compositor {
   /// Another form of an object's mesh: as many vertices, the same triangles. From then on all of
   /// them are drawn.
   void update_vertices(int object, const prt::Mesh& mesh);
-  /// Rigid placement of the bake frame in the world.
-  void set_pose(int object, const Pose& world_from_bake);
+  /// Rigid placement of the bake frame in the world, and where that frame would be if the object
+  /// stood on its plane as it was baked: there lies its shadow.
+  void set_pose(int object, const Pose& world_from_bake, const Pose& world_from_floor);
+  void set_pose(int object, const Pose& world_from_bake) {
+    set_pose(object, world_from_bake, world_from_bake);
+  }
   /// Whether it and its shadow are drawn; they are at first.
   void show(int object, bool visible);
   /// Relit transfer (prt::relight's layout) and shadow. An object without receiver gets an empty

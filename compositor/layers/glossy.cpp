@@ -454,12 +454,13 @@ void Glossy::set_mirrored_objects(GLuint program, const GlossyObject& o) const {
   glUniform4f(uniform(program, "objects_place"), corner.x, corner.y, each.x, each.y);
 }
 
-void Glossy::set_mirrored_floor(GLuint program, const GlossyObject& o, const Pose& pose) {
+void Glossy::set_mirrored_floor(GLuint program, const GlossyObject& o,
+                                const Pose& world_from_floor) {
   if (o.floor_codes.empty()) return;
   glActiveTexture(GL_TEXTURE0 + kFloorUnit);
   glBindTexture(GL_TEXTURE_2D, o.floor.get());
   glUniform1i(uniform(program, "floor_ratio"), kFloorUnit);
-  const glm::mat4 grid_from_world(pose.inverse().matrix());
+  const glm::mat4 grid_from_world(world_from_floor.inverse().matrix());
   glUniformMatrix4fv(uniform(program, "grid_from_world"), 1, GL_FALSE,
                      glm::value_ptr(grid_from_world));
   const prt::GroundGrid& g = *o.floor_grid;
@@ -567,7 +568,7 @@ void Glossy::begin_part(const GlossyObject& o, const GlossyObject::Part& part,
   const prt::Material& m = o.surface->materials[part.material];
   const GLuint program = use(features_of(o, part));
   set_scene(program, placed);
-  set_mirrored_floor(program, o, placed.world_from_object);
+  set_mirrored_floor(program, o, placed.world_from_floor);
   set_mirrored_objects(program, o);
   set_material(m, program);
   if (o.is_blended(part) ? !m.double_sided : placed.cull_backs && !o.shows_backs)

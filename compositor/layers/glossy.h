@@ -86,7 +86,7 @@ class Glossy {
   /// use: makes the program of features current
   using UseProgram = std::function<GLuint(GlossyFeatures)>;
   struct Placed {
-    Pose world_from_object;
+    Pose world_from_object, world_from_floor;
     glm::dvec3 eye;
     bool cull_backs;
     GLuint indices;  // of the triangles
@@ -109,7 +109,8 @@ class Glossy {
   void lay_out_levels(std::span<const lighting::ReflectionMap::RoughnessLevel> levels);
   void set_levels(GLuint program) const;
   void set_mirrored_objects(GLuint program, const GlossyObject& object) const;
-  static void set_mirrored_floor(GLuint program, const GlossyObject& object, const Pose& pose);
+  static void set_mirrored_floor(GLuint program, const GlossyObject& object,
+                                 const Pose& world_from_floor);
   void upload(const prt::Texture& texture, bool srgb);
   void bind(int unit, const prt::Texture& texture, bool srgb, GLuint program, const char* name);
   GLuint sampler_of(const prt::Texture& texture);

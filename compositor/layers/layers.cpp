@@ -224,10 +224,11 @@ void Layers::update_vertices(int object, const prt::Mesh& mesh) {
   o.contour_known = false;
 }
 
-void Layers::set_pose(int object, const Pose& world_from_bake) {
+void Layers::set_pose(int object, const Pose& world_from_bake, const Pose& world_from_floor) {
   DrawnObject& o = objects_[static_cast<std::size_t>(object)];
-  if (o.world_from_bake == world_from_bake) return;
+  if (o.world_from_bake == world_from_bake && o.world_from_floor == world_from_floor) return;
   o.world_from_bake = world_from_bake;
+  o.world_from_floor = world_from_floor;
   o.changed = true;
   o.contour_known = false;
 }
@@ -496,7 +497,7 @@ void Layers::draw_glossy(const View& view, const ViewProjection& from_world, con
     const auto triangles = seen_alone ? o->contour->seen() : std::span(o->triangles);
     const auto parts = seen_alone ? o->glossy->parts_of(triangles) : o->glossy->parts;
     glossy_->draw(*o->glossy, use,
-                  {o->world_from_bake, eye, fronts_only(*o, eye),
+                  {o->world_from_bake, o->world_from_floor, eye, fronts_only(*o, eye),
                    (seen_alone ? o->seen : o->indices).get(), triangles, parts, o->positions},
                   blended);
   }

@@ -31,7 +31,8 @@ class Layers {
   void use_lens(const ViewLens& lens);
   int add_object(const prt::BakedObject& object, const Appearance& appearance);
   void update_vertices(int object, const prt::Mesh& mesh);
-  void set_pose(int object, const Pose& world_from_bake);
+  /// As of Compositor.
+  void set_pose(int object, const Pose& world_from_bake, const Pose& world_from_floor);
   void show(int object, bool visible);
   /// As of Compositor.
   void set_light(int object, std::span<const float> relit, const EdgedLight* edged = nullptr);
@@ -94,7 +95,7 @@ class Layers {
     std::size_t stride = 0;  // floats a colour plane
     prt::Bounds bounds;
     double area_m2;  // of all triangles, at rest
-    Pose world_from_bake{};
+    Pose world_from_bake{}, world_from_floor{};
     bool visible = true;
     bool changed = true;               // since it was drawn, in whatever is seen of it
     Rect drawn_at{};                   // what it could reach then

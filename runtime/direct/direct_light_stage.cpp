@@ -154,6 +154,7 @@ Result<void> DirectLightStage::add_object(const PreparedObject& o) {
   auto index = virtual_.add(o.baked.mesh);
   if (!index) return fail(index.error().code, o.name, index.error().detail);
   poses_.push_back(o.world_from_bake);
+  floors_.push_back(o.world_from_bake);
   moved_from_.emplace_back();
   visible_.push_back(1);
   other_form_.push_back(0);
@@ -196,7 +197,9 @@ void DirectLightStage::add_caster(const prt::Mesh& mesh, const Pose& pose,
   to.push_back({&mesh, &silhouettes_.emplace_back(mesh), pose});
 }
 
-void DirectLightStage::set_pose(std::size_t object, const Pose& world_from_bake) {
+void DirectLightStage::set_pose(std::size_t object, const Pose& world_from_bake,
+                                const Pose& world_from_floor) {
+  floors_[object] = world_from_floor;
   if (poses_[object] == world_from_bake) return;
   if (!moved_from_[object]) moved_from_[object] = poses_[object];
   poses_[object] = world_from_bake;
@@ -275,7 +278,8 @@ void DirectLightStage::shade_hits(std::size_t object, const lighting::DistantLig
   const int own = static_cast<int>(object);
   const prt::Mesh& mesh = scene_->objects[object].baked.mesh;
   const glm::mat3 turn = poses_[object].rotation_matrix();
-  const glm::vec3 up = turn[1], shift = poses_[object].translation;
+  const glm::vec3 up(floors_[object].rotation * glm::dvec3(0, 1, 0)),
+      shift = poses_[object].translation;
   constexpr int kPacket = prt::RayWorld::kPacket;
   prt::RayWorld::Rays rays;
   std::array<std::size_t, kPacket> index;
@@ -375,7 +379,7 @@ void DirectLightStage::trace(TracedLight& t, bool all) {
     if (!all && !moves && t.hurried[i] != kDue) continue;
     changed_[i] = 1;
     t.cosine[i].resize(o.baked.mesh.positions.size());
-    const prt::Plane own{poses_[i].translation, poses_[i].rotation * glm::dvec3(0, 1, 0), {}, {}};
+    const prt::Plane own{floors_[i].translation, floors_[i].rotation * glm::dvec3(0, 1, 0), {}, {}};
     // What knows nothing of its own visibility asks rays everywhere, and texels do not share them:
     // half would show (walker: 3.2 %).
     const int sampling =

@@ -32,7 +32,11 @@ class DirectLightStage {
   static Result<DirectLightStage> create(const PreparedScene& scene,
                                          const ShadowSampling& sampling);
 
-  void set_pose(std::size_t object, const Pose& world_from_bake);
+  /// world_from_floor: where the bake frame would be if it stood on its plane
+  void set_pose(std::size_t object, const Pose& world_from_bake, const Pose& world_from_floor);
+  void set_pose(std::size_t object, const Pose& world_from_bake) {
+    set_pose(object, world_from_bake, world_from_bake);
+  }
   /// One that is not visible is not lit, and its pose must keep it out of all light. All are
   /// visible at first.
   void show(std::size_t object, bool visible) { visible_[object] = visible; }
@@ -160,7 +164,7 @@ class DirectLightStage {
   std::vector<shadows::BoundingSphere> passed_;
   // By object: neither rays nor silhouettes know its present mesh yet
   std::vector<char> other_form_;
-  std::vector<Pose> poses_;
+  std::vector<Pose> poses_, floors_;  // by object
   std::vector<char> visible_;
   std::vector<char> changed_;  // by object, see changed()
   std::vector<TracedLight> traced_, before_;

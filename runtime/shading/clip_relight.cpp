@@ -10,6 +10,8 @@ using TransferPart = PreparedObject::TransferPart;
 // A surface or the ground, and what of `reflected` comes to it by reflection.
 void CompositeStage::relight_parts(StageObject& o, TransferPart own, const RadianceSh& light,
                                    const RadianceSh* reflected, std::span<float> out) const {
+  if (o.lifted_now && own == TransferPart::kSurface)
+    return relight_lifted(o, light, reflected, out);
   if (o.bases) return o.bases->of(own).relight(light, reflected, out);
   o.prepared->relight(own, light, out);
   if (!reflected) return;
@@ -21,6 +23,7 @@ void CompositeStage::relight_parts(StageObject& o, TransferPart own, const Radia
 // What comes to a surface or to the ground by reflection alone.
 void CompositeStage::relight_reflected(const StageObject& o, TransferPart own,
                                        const RadianceSh& light, std::span<float> out) const {
+  if (o.lifted_now && own == TransferPart::kSurface) return relight_lifted_reflected(o, light, out);
   if (o.bases) return o.bases->of(own).relight_second(light, out);
   o.prepared->relight(
       own == TransferPart::kSurface ? TransferPart::kReflected : TransferPart::kGroundReflected,

@@ -214,18 +214,22 @@ bool CompositeStage::move_objects() {
 void CompositeStage::place_objects(double seconds) {
   std::swap(poses_, poses_before_);
   poses_.clear();
+  floors_.clear();
   for (std::size_t i = 0; i < objects_.size(); ++i) {
     const ObjectMoves::ObjectNow now = moves_.at(i, seconds);
     objects_[i].visible = now.visible;
     objects_[i].clip_time_s = now.clip_time_s;
     objects_[i].blend_weight = now.blend_weight;
     objects_[i].holds = now.speed == 0;
+    objects_[i].other_stance = objects_[i].lifted_now != now.lifted;
+    objects_[i].lifted_now = now.lifted;
     poses_.push_back(now.world_from_bake);
+    floors_.push_back(now.world_from_floor);
     compositor_->show(objects_[i].handle, now.visible);
-    compositor_->set_pose(objects_[i].handle, poses_[i]);
+    compositor_->set_pose(objects_[i].handle, poses_[i], floors_[i]);
     lights_.show(i, now.visible);
     lamps_.show(i, now.visible);
-    lights_.set_pose(i, poses_[i]);
+    lights_.set_pose(i, poses_[i], floors_[i]);
   }
 }
 
@@ -253,7 +257,7 @@ bool CompositeStage::update_distant_lights(const lighting::LightEstimate& light)
 // True where an object's light changed visibly.
 bool CompositeStage::relight_objects(const lighting::LightEstimate& light, bool all_changed,
                                      bool other_form) {
-  light_planes(poses_);
+  light_planes();
   bool relit = false;
   for (StageObject& o : objects_) o.renewed = false;
   // What things reflect onto each other is known from the last update, at first from a round of its
@@ -265,7 +269,7 @@ bool CompositeStage::relight_objects(const lighting::LightEstimate& light, bool 
                              other_form);
     if (round + 1 == rounds) break;
     combine_object_shadows(poses_);
-    light_planes(poses_);
+    light_planes();
     shade_real_mesh(light, poses_, other_form);
     if (surroundings_.refine(lights_.occluders(), true)) update_distant_lights(light);
   }
@@ -280,13 +284,14 @@ bool CompositeStage::shade(const lighting::LightEstimate& light, double seconds,
   const bool other_form = move_objects();
   // Neighbours' shadows and those on real meshes follow a turn that no light shows.
   const bool moved = (objects_.size() > 1 || real_.any()) && poses_ != poses_before_;
+  look_at_lifted();
   catches_up_ = exits_changed_ && !another_view && !moved && !other_form;
   exits_changed_ &= another_view;
   if (surroundings_.any()) {
     const StageTimer timer(times_, "occlusion probes");
-    surroundings_.update(lights_.occluders(), poses_);
+    surroundings_.update(lights_.occluders(), poses_, floors_);
     surroundings_.refine(lights_.occluders());
-    ground_probes_.update(lights_.occluders(), poses_, other_form);
+    ground_probes_.update(lights_.occluders(), poses_, floors_, other_form);
   }
   planes_.update(light);
   floor_radiance_ = radiance_of_floor(scene_, planes_.irradiance());
@@ -313,7 +318,7 @@ bool CompositeStage::shade(const lighting::LightEstimate& light, double seconds,
   if (!relit && !lights_changed && !moved && !measured) return false;
   exits_changed_ = surroundings_.any() && !first;
   combine_object_shadows(poses_);
-  light_planes(poses_);
+  light_planes();
   compositor_->set_shadow_maps(on_planes_);
   shade_real_mesh(light, poses_, other_form);
   if (real_.any()) {
@@ -326,7 +331,7 @@ bool CompositeStage::shade(const lighting::LightEstimate& light, double seconds,
   return true;
 }
 
-void CompositeStage::light_planes(const std::vector<Pose>& poses) {
+void CompositeStage::light_planes() {
   if (!surroundings_.any_real()) return;
   std::vector<ShadowOnPlane> shadows;
   if (real_.any() && real_.shadow())
@@ -334,7 +339,7 @@ void CompositeStage::light_planes(const std::vector<Pose>& poses) {
                        scene_.real->world_from_bake.inverse(), true});
   for (std::size_t k = 0; k < objects_.size(); ++k)
     if (const prt::BakedObject& baked = objects_[k].prepared->baked; baked.receiver)
-      shadows.push_back({&objects_[k].shown(), &baked.receiver->grid, poses[k].inverse(), false,
+      shadows.push_back({&objects_[k].shown(), &baked.receiver->grid, floor_of(k).inverse(), false,
                          objects_[k].of_open});
   plane_light_.emplace(scene_.planes, planes_.irradiance(), on_planes_, std::move(shadows));
 }
@@ -391,6 +396,11 @@ bool may_meet(const prt::BakedObject& a, const Pose& at_a, const prt::BakedObjec
 // shaded by light past those (ObjectLight::local).
 void CompositeStage::combine_object_shadows(const std::vector<Pose>& poses) {
   const StageTimer timer(times_, "combine shadows");
+  // What two that are lifted block in common is not known.
+  const auto meet = [&](std::size_t a, std::size_t b) {
+    return !objects_[a].lifted_now && !objects_[b].lifted_now &&
+           may_meet(objects_[a].prepared->baked, poses[a], objects_[b].prepared->baked, poses[b]);
+  };
   const auto is_other = [&](std::size_t k) {
     return objects_[k].renewed || poses_before_.size() != poses.size() ||
            poses_before_[k] != poses[k];
@@ -398,14 +408,12 @@ void CompositeStage::combine_object_shadows(const std::vector<Pose>& poses) {
   for (std::size_t k = 0; k < objects_.size(); ++k) {
     StageObject& o = objects_[k];
     bool same = !is_other(k);
-    for (std::size_t i = 0; i < k && same; ++i)
-      same = !is_other(i) || !(o.shares || may_meet(objects_[i].prepared->baked, poses[i],
-                                                    o.prepared->baked, poses[k]));
+    for (std::size_t i = 0; i < k && same; ++i) same = !is_other(i) || !(o.shares || meet(i, k));
     if (same) continue;
     o.shares = false;
     for (std::size_t i = 0; i < k; ++i) {
       const StageObject& other = objects_[i];
-      if (!may_meet(other.prepared->baked, poses[i], o.prepared->baked, poses[k])) continue;
+      if (!meet(i, k)) continue;
       if (!std::exchange(o.shares, true)) o.shared = o.shadow;
       shadows::combine_shadows({&other.prepared->baked, poses[i], &other.shadow},
                                {&o.prepared->baked, poses[k], &o.shadow}, o.shared);
@@ -433,8 +441,8 @@ bool CompositeStage::update_object(std::size_t index, const std::vector<Pose>& p
     return false;
   }
   const RadianceSh& residual =
-      residual_for(estimate, stands_level(o.prepared->baked, poses[index]));
-  const bool other_form = moved && o.prepared->animation;
+      residual_for(estimate, stands_level(o.prepared->baked, floor_of(index)));
+  const bool other_form = (moved && o.prepared->animation) || o.other_stance;
   if (!changed && !other_form && !catches_up_ && !may_differ(index, residual, poses[index]))
     return false;
   ObjectLight light = light_at(index, estimate, poses);
@@ -470,21 +478,10 @@ void CompositeStage::compose_shadow(std::size_t index, const lighting::LightEsti
   on_receiver.lights = light.reaching_lights;
   on_receiver.distant_irradiance = light.distant_irradiance;
   o.deficit.resize(3 * baked.ground_deficit.stride);
-  const Scratch::Scope scope;
-  std::pmr::vector<float> lit(scope.memory());
-  find_lit(index, estimate, pose, light, lit);
-  // What is taken is what is lost less what comes back by reflection.
-  const bool lights = luminance(light.distant_irradiance) > 0;
-  RadianceSh given_back = light.lights;
-  for (Rgb& term : given_back.terms()) term = term * -1.f;
-  relight_parts(o, PreparedObject::TransferPart::kGround, light.local,
-                lights && lit.empty() ? &given_back : nullptr, o.deficit);
-  if (lights && !lit.empty()) add_ground_reflected(o, given_back, lit, o.deficit);
-  if (ground_probes_.any()) {
-    take_what_is_behind(index, residual_for(estimate, stands_level(baked, pose)), pose, light.local,
-                        o.deficit);
-    correct_reflections(index, light, lit);
-  }
+  if (o.lifted_now)
+    o.lifted->ground.taken(light.local, o.relit, baked.mesh, baked.receiver->grid.size, o.deficit);
+  else
+    take_by_bake(index, estimate, pose, light);
   shadows::compose_planar_shadow(
       {baked.receiver->grid, baked.ground_deficit.bands, baked.ground_deficit.stride, o.deficit},
       on_receiver, o.shadow);
@@ -495,8 +492,28 @@ void CompositeStage::compose_shadow(std::size_t index, const lighting::LightEsti
            light.distant_irradiance;
   };
   const Rgb local = open_floor_irradiance(light.local),
-            open = open_floor_irradiance(light.open) + planes_.change_under(baked, pose);
+            open = open_floor_irradiance(light.open) + planes_.change_under(baked, floor_of(index));
   for (int c = 0; c < 3; ++c) o.of_open[c] = open[c] > 0 ? std::max(0.f, local[c] / open[c]) : 1;
+}
+
+// The deficit of an object that stands as it was baked.
+void CompositeStage::take_by_bake(std::size_t index, const lighting::LightEstimate& estimate,
+                                  const Pose& pose, const ObjectLight& light) {
+  StageObject& o = objects_[index];
+  const Scratch::Scope scope;
+  std::pmr::vector<float> lit(scope.memory());
+  find_lit(index, estimate, pose, light, lit);
+  // What is taken is what is lost less what comes back by reflection.
+  const bool lights = luminance(light.distant_irradiance) > 0;
+  RadianceSh given_back = light.lights;
+  for (Rgb& term : given_back.terms()) term = term * -1.f;
+  relight_parts(o, PreparedObject::TransferPart::kGround, light.local,
+                lights && lit.empty() ? &given_back : nullptr, o.deficit);
+  if (lights && !lit.empty()) add_ground_reflected(o, given_back, lit, o.deficit);
+  if (!ground_probes_.any()) return;
+  take_what_is_behind(index, residual_for(estimate, stands_level(o.prepared->baked, pose)), pose,
+                      light.local, o.deficit);
+  correct_reflections(index, light, lit);
 }
 
 const ResponseTable* CompositeStage::curve_for(ViewCamera& camera, const FramePixels& pixels) {
@@ -636,9 +653,10 @@ void CompositeStage::mirror_objects(const compositor::View& view, const capture:
   visible_.clear(), relit_.clear();
   for (const StageObject& o : objects_) visible_.push_back(o.visible), relit_.push_back(o.relit);
   const ViewCamera& camera = views_[static_cast<std::size_t>(frame.camera)];
-  mirrored_objects_.update(
-      static_cast<std::size_t>(frame.camera), {view, camera.info.projection, poses_, visible_},
-      {mirrored_.now(), relit_, mirrored_.fractions()}, relit || others, handles_, *compositor_);
+  mirrored_objects_.update(static_cast<std::size_t>(frame.camera),
+                           {view, camera.info.projection, poses_, floors_, visible_},
+                           {mirrored_.now(), relit_, mirrored_.fractions()}, relit || others,
+                           handles_, *compositor_);
 }
 
 Result<void> CompositeStage::process(const capture::Frame& frame,

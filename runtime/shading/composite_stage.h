@@ -34,11 +34,13 @@
 #include "runtime/scene/scene.h"
 #include "runtime/shading/composited.h"
 #include "runtime/shading/floor_recovery.h"
+#include "runtime/shading/free_transfer.h"
 #include "runtime/shading/mirrored_objects.h"
 #include "runtime/shading/mirrored_surroundings.h"
 #include "runtime/shading/object_moves.h"
 #include "runtime/surroundings/ground_probes.h"
 #include "runtime/surroundings/irradiance_cache.h"
+#include "runtime/surroundings/lifted_ground.h"
 #include "runtime/surroundings/occlusion_probes.h"
 #include "runtime/surroundings/plane_light.h"
 #include "shadows/field/planar_shadow.h"
@@ -144,7 +146,7 @@ class CompositeStage {
   static constexpr double kDarker = 1. / 8;  // exposure of the first darker frame
   static constexpr int kOwnBounces = 3;      // of a shaded floor's light on an object
   static constexpr double kDeepShade = .4;   // of the light that floor and object send in the open
-  // In the bake frame.
+  // In the bake frame of an object that stands on its floor: of a lifted one, in the floor's.
   struct ObjectLight {
     RadianceSh open, local;  // local: with real things in it as the object's surface sees it
     // By probe: irradiance/pi by what stands around less that by the local light in its place, and
@@ -158,9 +160,19 @@ class CompositeStage {
     RadianceSh reaching_lights{1};  // what of them comes to the object past others, as a whole
     Rgb distant_irradiance;         // of the open receiver
   };
+  // What stands in for the bake of an object while it is off its floor or leans.
+  struct Lifted {
+    std::shared_ptr<FreeTransfer> free;  // of all copies that share their transfer
+    LiftedGround ground;
+    bool used_free = false;                                             // by the last update
+    lighting::ShRotation to_bake{glm::dmat3(1), prt::kReflectedBands};  // from the floor's frame
+  };
   struct StageObject {
     const PreparedObject* prepared;
     int handle;
+    bool lifted_now = false;           // ObjectNow::lifted
+    bool other_stance = false;         // over its floor, than in the last update
+    std::unique_ptr<Lifted> lifted{};  // once it was
     bool visible = true;
     double clip_time_s = 0;
     std::optional<float> blend_weight{};  // nothing: as the scene has it
@@ -219,8 +231,7 @@ class CompositeStage {
     // Of the object that is looked from: what its bake counts on
     const shadows::PlanarShadow* counted = nullptr;
   };
-  void find_floor_shadows(std::size_t index, const std::vector<Pose>& poses,
-                          std::pmr::vector<FloorShadow>& out) const;
+  void find_floor_shadows(std::size_t index, std::pmr::vector<FloorShadow>& out) const;
   static FloorLight floor_at(const glm::vec3& point, std::span<const FloorShadow> floor_shadows,
                              float local, float open, float all);
   glm::dvec3 lit_centre(std::size_t index, const Pose& pose) const;
@@ -229,6 +240,7 @@ class CompositeStage {
   float lit_fraction(std::size_t source, std::size_t index, const Pose& pose) const;
   void add_distant_lights(std::size_t index, const lighting::LightEstimate& light, const Pose& pose,
                           ObjectLight& out) const;
+  const Pose& floor_of(std::size_t object) const { return floors_[object]; }
   Rgb exit_of(const ProbeHit& hit) const;
   // Without, and with what virtual things do
   PlaneLight::Radiance exit_of_real(const RealPoint& at) const;
@@ -243,10 +255,23 @@ class CompositeStage {
                          const lighting::LightEstimate& estimate, const Pose& pose);
   void relight_parts(StageObject& object, PreparedObject::TransferPart own, const RadianceSh& light,
                      const RadianceSh* reflected, std::span<float> out) const;
+  void look_at_lifted();
+  void begin_lifted(StageObject& object);
+  void relight_lifted(StageObject& object, const RadianceSh& light, const RadianceSh* reflected,
+                      std::span<float> out) const;
+  void relight_lifted_reflected(const StageObject& object, const RadianceSh& light,
+                                std::span<float> out) const;
+  void relight_from_places(const StageObject& object,
+                           const std::array<RadianceSh, LiftedGround::kPlaces>& around,
+                           std::span<float> out) const;
+  static void add_own_reflection(const StageObject& object, const RadianceSh& light,
+                                 std::span<float> out);
   void relight_reflected(const StageObject& object, PreparedObject::TransferPart own,
                          const RadianceSh& light, std::span<float> out) const;
   void compose_shadow(std::size_t index, const lighting::LightEstimate& estimate, const Pose& pose,
                       const ObjectLight& light);
+  void take_by_bake(std::size_t index, const lighting::LightEstimate& estimate, const Pose& pose,
+                    const ObjectLight& light);
   void take_what_is_behind(std::size_t index, const RadianceSh& sky, const Pose& pose,
                            const RadianceSh& local, std::span<float> deficit) const;
   std::array<Rgb, OcclusionProbes::kProbes> lit_probes(std::size_t source, std::size_t index) const;
@@ -259,7 +284,7 @@ class CompositeStage {
   void combine_object_shadows(const std::vector<Pose>& poses);
   void shade_real_mesh(const lighting::LightEstimate& light, const std::vector<Pose>& poses,
                        bool other_form);
-  void light_planes(const std::vector<Pose>& poses);
+  void light_planes();
   Rgb lost_at(std::size_t point, const RadianceSh& sky) const;
   bool move_objects();
   void place_objects(double seconds);
@@ -305,6 +330,7 @@ class CompositeStage {
   std::vector<ViewCamera> views_;  // by camera index; unused entries for environment cameras
   std::vector<StageObject> objects_;
   std::vector<Pose> poses_, poses_before_;  // of this update, of the last one
+  std::vector<Pose> floors_;                // ObjectNow::world_from_floor
   Rgb floor_radiance_;                      // in the open; 0: unknown, or not all that is real
   std::vector<compositor::ShadowMapOnPlane> on_planes_;
   bool lit_before_ = false;

@@ -198,7 +198,7 @@ bool CompositeStage::is_nearest(std::size_t index, const glm::dvec3& place) cons
   const auto distance = [&](std::size_t k) {
     const auto& receiver = objects_[k].prepared->baked.receiver;
     return receiver
-               ? glm::length(place - poses_[k].translation) / double(receiver->grid.half_extent)
+               ? glm::length(place - floor_of(k).translation) / double(receiver->grid.half_extent)
                : std::numeric_limits<double>::max();
   };
   constexpr double kSame = 1e-3;

@@ -77,7 +77,7 @@ struct MirroredByObject {
 struct ViewOfObjects {
   const compositor::View& view;
   const calib::CameraModel& camera;
-  std::span<const Pose> poses;
+  std::span<const Pose> poses, floors;  // ObjectNow::world_from_bake, world_from_floor
   std::span<const char> visible;
 };
 

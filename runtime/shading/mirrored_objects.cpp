@@ -107,7 +107,8 @@ Rgb MirroredObjects::surroundings_from(const glm::vec3& at, const glm::vec3& tow
   const auto& receiver = scene_->objects[l.o.object].baked.receiver;
   if (!l.floor || !receiver) return all;
   const prt::GroundGrid& grid = receiver->grid;
-  const glm::vec3 from = l.turn * at + l.shift, d = l.turn * towards;
+  const glm::vec3 from = l.floor_from_world * glm::vec4(at, 1),
+                  d = glm::mat3(l.floor_from_world) * towards;
   if (d.y > -.01f || from.y < grid.height) return all;
   const float far = (from.y - grid.height) / -d.y;
   const glm::vec2 uv = grid.uv({from.x + far * d.x, from.z + far * d.z});
@@ -225,11 +226,10 @@ void MirroredObjects::update(std::size_t camera, const ViewOfObjects& seen,
   if (!same) trace(view, seen);
   for (const MirroredByObject& o : view.objects) {
     if (o.rows.empty()) continue;  // not in the picture
-    const Pose from_world = seen.poses[o.object].inverse();
     const int handle = handles[o.object];
-    compositor.set_mirrored(handle, picture_of({o, light, compositor.mirrored_floor(handle),
-                                                glm::mat3(from_world.rotation_matrix()),
-                                                glm::vec3(from_world.translation)}));
+    compositor.set_mirrored(handle,
+                            picture_of({o, light, compositor.mirrored_floor(handle),
+                                        glm::mat4(seen.floors[o.object].inverse().matrix())}));
   }
   view.light = light_;
   shown_camera_ = camera;

@@ -73,8 +73,7 @@ class MirroredObjects {
     const MirroredByObject& o;
     const LightOnObjects& light;
     const Image<Rgb>* floor;
-    glm::mat3 turn;  // and shift: the bake frame from the world's
-    glm::vec3 shift;
+    glm::mat4 floor_from_world;
   };
 
   explicit MirroredObjects(const PreparedScene& scene) : scene_(&scene) {}

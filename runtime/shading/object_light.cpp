@@ -56,8 +56,8 @@ CompositeStage::ObjectLight CompositeStage::light_at(std::size_t index,
                                                      const lighting::LightEstimate& estimate,
                                                      const std::vector<Pose>& poses) const {
   const RadianceSh& light =
-      residual_for(estimate, stands_level(objects_[index].prepared->baked, poses[index]));
-  const lighting::ShRotation turn(glm::transpose(poses[index].rotation_matrix()), light.bands());
+      residual_for(estimate, stands_level(objects_[index].prepared->baked, floor_of(index)));
+  const lighting::ShRotation turn(glm::transpose(floor_of(index).rotation_matrix()), light.bands());
   ObjectLight out;
   out.open = out.local = turn * light;
   if (surroundings_.any()) {
@@ -104,7 +104,7 @@ RadianceSh CompositeStage::with_real_things(const RadianceSh& light, std::size_t
 
 // Shadows whose plane a floor point may lie on. What two objects block in common the shown ones
 // count once.
-void CompositeStage::find_floor_shadows(std::size_t index, const std::vector<Pose>& poses,
+void CompositeStage::find_floor_shadows(std::size_t index,
                                         std::pmr::vector<FloorShadow>& out) const {
   const auto add = [&](const shadows::PlanarShadow* shadow, const prt::BakedObject& baked,
                        const Pose& bake_from_world, float of_open, bool real,
@@ -118,7 +118,7 @@ void CompositeStage::find_floor_shadows(std::size_t index, const std::vector<Pos
   for (std::size_t k = 0; k < objects_.size(); ++k) {
     const StageObject& o = objects_[k];
     if (o.prepared->baked.receiver && !o.shadow.ratio.empty())
-      add(&o.shown(), o.prepared->baked, poses[k].inverse(), luminance(o.of_open), false,
+      add(&o.shown(), o.prepared->baked, floor_of(k).inverse(), luminance(o.of_open), false,
           k == index ? &o.shadow : nullptr);
   }
 }
@@ -152,16 +152,16 @@ CompositeStage::FloorLight CompositeStage::floor_at(const glm::vec3& point,
 void CompositeStage::see_surroundings(std::size_t index, const lighting::LightEstimate& estimate,
                                       const std::vector<Pose>& poses,
                                       const lighting::ShRotation& turn, ObjectLight& out) const {
-  const Pose& pose = poses[index];
+  const Pose &pose = poses[index], &on_floor = floor_of(index);
   const prt::BakedObject& baked = objects_[index].prepared->baked;
-  const RadianceSh& light = residual_for(estimate, stands_level(baked, pose));
+  const RadianceSh& light = residual_for(estimate, stands_level(baked, on_floor));
   // What is left for the probes to mend is little, so that little is lost between them.
   const RadianceSh local = with_real_things(light, index);
   out.local = turn * local;
   const float weight = 1 / static_cast<float>(surroundings_.rays(index));
   const IrradianceSh irradiance = lighting::irradiance(light),
                      local_irradiance = lighting::irradiance(local);
-  const glm::dvec3 up = pose.rotation * glm::dvec3(0, 1, 0);
+  const glm::dvec3 up = on_floor.rotation * glm::dvec3(0, 1, 0);
   const auto sent_on = [&](const Rgb& albedo, const glm::dvec3& normal, const IrradianceSh& by) {
     return std::max(0.f, luminance(albedo * lighting::evaluate(by, normal)));
   };
@@ -169,9 +169,9 @@ void CompositeStage::see_surroundings(std::size_t index, const lighting::LightEs
   const float of_floor = sent_on(floor_albedo, up, irradiance);
   const Scratch::Scope scope;
   std::pmr::vector<FloorShadow> shadows_there(scope.memory());
-  find_floor_shadows(index, poses, shadows_there);
+  find_floor_shadows(index, shadows_there);
   const float residual = luminance(lighting::evaluate(irradiance, up));
-  const float open_residual = residual + luminance(planes_.change_under(baked, pose));
+  const float open_residual = residual + luminance(planes_.change_under(baked, on_floor));
   float all = open_residual;
   for (const lighting::DistantLight& d : estimate.lights)
     all += luminance(lighting::irradiance(d, up));
@@ -249,8 +249,9 @@ float CompositeStage::lit_fraction(std::size_t source, std::size_t index, const 
 
 void CompositeStage::add_distant_lights(std::size_t index, const lighting::LightEstimate& estimate,
                                         const Pose& pose, ObjectLight& out) const {
-  const bool level = stands_level(objects_[index].prepared->baked, pose);
-  const glm::dvec3 up = pose.rotation * glm::dvec3(0, 1, 0);
+  const Pose& floor = floor_of(index);
+  const bool level = stands_level(objects_[index].prepared->baked, floor);
+  const glm::dvec3 up = floor.rotation * glm::dvec3(0, 1, 0);
   RadianceSh sum(prt::kReflectedBands);
   RadianceSh lit = sum;  // as far as it reaches the object
   for (std::size_t i = 0; i < estimate.lights.size(); ++i) {
@@ -269,7 +270,7 @@ void CompositeStage::add_distant_lights(std::size_t index, const lighting::Light
     }
   }
   const auto in_bake_frame = [&](const RadianceSh& light) {
-    return reflected_in_bake_frame(light, level, pose,
+    return reflected_in_bake_frame(light, level, floor,
                                    objects_[index].prepared->baked.reflected.bands);
   };
   out.lights = in_bake_frame(sum);
@@ -293,7 +294,9 @@ CompositeStage::SentLight CompositeStage::sent_at_probes(std::size_t light_index
   const float weight = 1 / static_cast<float>(surroundings_.rays(index));
   const glm::vec3 towards(glm::conjugate(pose.rotation) * source.direction);
   const Rgb power_per_ray = source.irradiance() * (weight / float(kPi));
-  const Rgb of_floor = baked.receiver ? baked.receiver->albedo * std::max(0.f, towards.y) : Rgb{};
+  const auto on_floor = static_cast<float>(
+      glm::dot(floor_of(index).rotation * glm::dvec3(0, 1, 0), source.direction));
+  const Rgb of_floor = baked.receiver ? baked.receiver->albedo * std::max(0.f, on_floor) : Rgb{};
   SentLight out;
   const auto see = [&](std::size_t k) {
     const ProbeHit& hit = hits[k];
@@ -336,7 +339,8 @@ CompositeStage::SentLight CompositeStage::sent_at_probes(std::size_t light_index
 void CompositeStage::correct_reflected(StageObject& o, const ObjectLight& light, std::size_t index,
                                        const lighting::LightEstimate& estimate, const Pose& pose) {
   const prt::BakedObject& baked = o.prepared->baked;
-  const bool level = stands_level(baked, pose);
+  const Pose& floor = floor_of(index);
+  const bool level = stands_level(baked, floor);
   o.more.resize(o.relit.size());
   if (light.reflected_left != light.reflected) {
     relight_reflected(o, PreparedObject::TransferPart::kSurface,
@@ -353,7 +357,7 @@ void CompositeStage::correct_reflected(StageObject& o, const ObjectLight& light,
     if (sent.left == sent.all) continue;
     relight_reflected(
         o, PreparedObject::TransferPart::kSurface,
-        reflected_in_bake_frame(reflected_for(source, level), level, pose, baked.reflected.bands),
+        reflected_in_bake_frame(reflected_for(source, level), level, floor, baked.reflected.bands),
         o.more);
     surroundings_.replace_shaded(index, sent.left, sent.all, sent.gathered, o.more, o.relit);
   }

@@ -20,17 +20,38 @@ namespace penumbra::runtime {
 
 namespace {
 
-constexpr std::string_view kHeader = "time_s,object,x_m,y_m,z_m,turn_deg";
-constexpr std::size_t kColumns = 6;
+constexpr std::string_view kHeader = "time_s,object,x_m,y_m,z_m,turn_deg",
+                           kLeaningHeader =
+                               "time_s,object,x_m,y_m,z_m,turn_deg,lean_deg,lean_towards_deg";
+constexpr std::size_t kColumns = 6, kLeaningColumns = 8;
+constexpr double kLifted_m = .01;       // nearer to its plane an object stands on it
+constexpr double kLeans_rad = 1e-3;     // what leans by less stands upright
+constexpr double kFarthest_m = 10'000;  // as in a scene's file
 
 // Signed distance of a place from the plane that a pose stands on.
 double off_plane(const Pose& standing, const glm::dvec3& position) {
   return glm::dot(position - standing.translation, standing.rotation * glm::dvec3(0, 1, 0));
 }
 
+glm::dvec2 lean_of(const ObjectPlace& p) {
+  return p.lean_rad * glm::dvec2(std::sin(p.lean_towards_rad), std::cos(p.lean_towards_rad));
+}
+
 ObjectPlace between(const ObjectPlace& a, const ObjectPlace& b, double fraction) {
+  const glm::dvec2 lean = glm::mix(lean_of(a), lean_of(b), fraction);
   return {a.position_m + fraction * (b.position_m - a.position_m),
-          std::lerp(a.turn_rad, b.turn_rad, fraction)};
+          std::lerp(a.turn_rad, b.turn_rad, fraction), glm::length(lean),
+          std::atan2(lean.x, lean.y)};
+}
+
+// Turns what is upright so that its top goes the way of the lean.
+glm::dquat turn_of_lean(const ObjectPlace& p) {
+  return glm::angleAxis(p.lean_rad,
+                        glm::dvec3(std::cos(p.lean_towards_rad), 0, -std::sin(p.lean_towards_rad)));
+}
+
+bool leans(const ObjectPlace& p) {
+  return std::abs(std::remainder(p.lean_rad, 2 * kPi)) > kLeans_rad;
 }
 
 std::string_view without_edges(std::string_view text) {
@@ -39,11 +60,12 @@ std::string_view without_edges(std::string_view text) {
 }
 
 // Nothing where there are not as many as columns.
-std::optional<std::array<std::string_view, kColumns>> split(std::string_view line) {
-  std::array<std::string_view, kColumns> out;
-  for (std::size_t i = 0; i < kColumns; ++i) {
+std::optional<std::array<std::string_view, kLeaningColumns>> split(std::string_view line,
+                                                                   std::size_t columns) {
+  std::array<std::string_view, kLeaningColumns> out;
+  for (std::size_t i = 0; i < columns; ++i) {
     const auto comma = line.find(',');
-    if ((comma == std::string_view::npos) != (i + 1 == kColumns)) return std::nullopt;
+    if ((comma == std::string_view::npos) != (i + 1 == columns)) return std::nullopt;
     out[i] = without_edges(line.substr(0, comma));
     line.remove_prefix(
         std::min(line.size(), comma == std::string_view::npos ? line.size() : comma + 1));
@@ -65,6 +87,7 @@ Result<ObjectTrack> read_object_track(const std::filesystem::path& path) {
   std::string_view text = whole;
   ObjectTrack out;
   std::map<std::string, double, std::less<>> last;
+  std::size_t width = kColumns;
   for (int line = 1; !text.empty(); ++line) {
     const auto end = std::min(text.find('\n'), text.size());
     const std::string_view row = without_edges(text.substr(0, end));
@@ -73,14 +96,18 @@ Result<ObjectTrack> read_object_track(const std::filesystem::path& path) {
       return fail(ErrorCode::kInvalid, fmt::format("{}:{}", path.string(), line), detail);
     };
     if (line == 1) {
-      if (row != kHeader) return invalid(fmt::format("does not begin with {}", kHeader));
+      if (row == kLeaningHeader)
+        width = kLeaningColumns;
+      else if (row != kHeader)
+        return invalid(fmt::format("begins neither with {} nor with {}", kHeader, kLeaningHeader));
       continue;
     }
     if (row.empty()) continue;
-    const auto columns = split(row);
-    if (!columns) return invalid(fmt::format("does not have {} columns", kColumns));
-    std::array<double, kColumns> values{};
-    for (const std::size_t i : {0, 2, 3, 4, 5}) {
+    const auto columns = split(row, width);
+    if (!columns) return invalid(fmt::format("does not have {} columns", width));
+    std::array<double, kLeaningColumns> values{};
+    for (std::size_t i = 0; i < width; ++i) {
+      if (i == 1) continue;  // the name
       const auto value = number((*columns)[i]);
       if (!value) return invalid(fmt::format("\"{}\" is not a number", (*columns)[i]));
       values[i] = *value;
@@ -90,8 +117,12 @@ Result<ObjectTrack> read_object_track(const std::filesystem::path& path) {
     if (before != last.end() && values[0] <= before->second)
       return invalid(fmt::format("\"{}\" has a time that is not after the one before", object));
     last[object] = values[0];
-    out.keys.push_back(
-        {values[0], object, {{values[2], values[3], values[4]}, values[5] * kPi / 180}});
+    out.keys.push_back({values[0],
+                        object,
+                        {{values[2], values[3], values[4]},
+                         values[5] * kPi / 180,
+                         values[6] * kPi / 180,
+                         values[7] * kPi / 180}});
   }
   if (out.keys.empty()) return fail(ErrorCode::kInvalid, path.string(), "has no places");
   return out;
@@ -103,7 +134,8 @@ ObjectMoves::ObjectMoves(const PreparedScene& scene)
     const prt::Bounds b = prt::bounds_of(o.baked.mesh);
     resting_.push_back({o.name, o.instance, o.world_from_bake, o.baked.receiver.has_value(),
                         o.animation || o.spin_rpm != 0, o.animation && o.animation->blend,
-                        glm::dvec3(b.centre()), double(glm::length(b.high - b.low)) / 2});
+                        o.animation != nullptr, glm::dvec3(b.centre()),
+                        double(glm::length(b.high - b.low)) / 2});
   }
   for (const PreparedObject& o : scene.objects) visible_.push_back(o.visible);
 }
@@ -120,29 +152,60 @@ Result<std::size_t> ObjectMoves::index_of(std::string_view object) const {
 }
 
 Result<void> ObjectMoves::check(std::size_t object, const ObjectPlace& place) const {
-  constexpr double kOff_m = .01;
   const Resting& o = resting_[object];
   const std::string where = fmt::format("object \"{}\"", o.name);
   const glm::dvec3& p = place.position_m;
-  if (!std::isfinite(p.x + p.y + p.z + place.turn_rad))
+  if (!std::isfinite(p.x + p.y + p.z + place.turn_rad + place.lean_rad + place.lean_towards_rad))
     return fail(ErrorCode::kNonFinite, where, "is put at a place that is not finite");
+  if (std::max({std::abs(p.x), std::abs(p.y), std::abs(p.z)}) > kFarthest_m)
+    return fail(ErrorCode::kInvalid, where,
+                fmt::format("is put farther than {:.0f} m from the origin", kFarthest_m));
   const double off = o.on_plane ? off_plane(o.world_from_bake, p) : 0;
-  if (std::abs(off) <= kOff_m) return {};
-  return fail(ErrorCode::kInvalid, where,
-              fmt::format("belongs to its plane and is put {:.3f} m off it: give the place on the "
-                          "plane that is under it",
-                          off));
+  if (off < -kLifted_m)
+    return fail(ErrorCode::kInvalid, where,
+                fmt::format("is put {:.3f} m below the plane that it belongs to", -off));
+  if (o.has_clip && (off > kLifted_m || leans(place)))
+    return fail(ErrorCode::kInvalid, where,
+                "plays a clip, which is baked on its plane and upright: it cannot be lifted and "
+                "does not lean");
+  return {};
 }
 
-Pose ObjectMoves::pose_at(std::size_t object, const ObjectPlace& place, double turntable_s) const {
+// In the frame in which it is baked: about its middle, at the height that it had. What stands on no
+// plane keeps its middle where it is.
+Pose ObjectMoves::leaning(std::size_t object, const ObjectPlace& place) const {
+  const Resting& o = resting_[object];
+  const glm::dquat turn = turn_of_lean(place);
+  Pose out{turn, o.centre_m - turn * o.centre_m};
+  if (!o.on_plane) return out;
+  const prt::BakedObject& baked = scene_.objects[object].baked;
+  const prt::Mesh& mesh = baked.fine ? baked.fine->mesh : baked.mesh;
+  const glm::vec3 up(glm::conjugate(turn) * glm::dvec3(0, 1, 0));
+  float upright = HUGE_VALF, now = HUGE_VALF;
+  for (const glm::vec3& p : mesh.positions) {
+    upright = std::min(upright, p.y);
+    now = std::min(now, glm::dot(p, up));
+  }
+  out.translation.y = double(upright) - double(now);
+  return out;
+}
+
+ObjectMoves::ObjectPoses ObjectMoves::pose_at(std::size_t object, const ObjectPlace& place,
+                                         double turntable_s) const {
   const Resting& o = resting_[object];
   const glm::dvec3 normal = o.world_from_bake.rotation * glm::dvec3(0, 1, 0);
-  const glm::dvec3 at =
-      place.position_m - (o.on_plane ? off_plane(o.world_from_bake, place.position_m) : 0) * normal;
+  const double off = o.on_plane ? off_plane(o.world_from_bake, place.position_m) : 0;
   const Pose turn{glm::angleAxis(place.turn_rad, glm::dvec3(0, 1, 0)), {0, 0, 0}};
   // A turntable turns it about its own axis, as from the scene's pose.
   const Pose spun = o.world_from_bake.inverse() * scene_.objects[object].pose_at(turntable_s);
-  return Pose{o.world_from_bake.rotation, at} * turn * spun;
+  const Pose floor =
+      Pose{o.world_from_bake.rotation, place.position_m - off * normal} * turn * spun;
+  ObjectPoses out{floor, floor};
+  if (leans(place)) out.world_from_bake = floor * leaning(object, place);
+  if (off > kLifted_m) out.world_from_bake.translation += off * normal;
+  out.lifted = o.on_plane && !(out.world_from_bake == floor);
+  if (!o.on_plane) out.world_from_floor = out.world_from_bake;
+  return out;
 }
 
 Result<void> ObjectMoves::put(std::string_view object, const ObjectPlace& place) {
@@ -221,17 +284,16 @@ ObjectMoves::ObjectNow ObjectMoves::at(std::size_t object, double seconds) {
   now_s_ = seconds;
   const Playing& playing = play_on(object, seconds);
   const double clip_time_s = playing.clip_time_at(seconds);
-  if (visible_[object])
-    return {true, placed(object, seconds, clip_time_s), clip_time_s, playing.speed,
-            playing.blend_weight};
+  if (visible_[object]) {
+    const ObjectPoses here = placed(object, seconds, clip_time_s);
+    return {true,        here.world_from_bake, here.world_from_floor, here.lifted,
+            clip_time_s, playing.speed,        playing.blend_weight};
+  }
   // Always the same, so that it counts as at rest.
   const Pose& rest = resting_[object].world_from_bake;
-  return {
-      false,
-      {rest.rotation, rest.translation - kOutOfTheWorld_m * (rest.rotation * glm::dvec3(0, 1, 0))},
-      clip_time_s,
-      playing.speed,
-      playing.blend_weight};
+  const Pose below{rest.rotation,
+                   rest.translation - kOutOfTheWorld_m * (rest.rotation * glm::dvec3(0, 1, 0))};
+  return {false, below, below, false, clip_time_s, playing.speed, playing.blend_weight};
 }
 
 // In the lock; in: it has places.
@@ -246,8 +308,12 @@ ObjectPlace ObjectMoves::place_at(std::size_t object, double seconds) const {
 }
 
 // In the lock.
-Pose ObjectMoves::placed(std::size_t object, double seconds, double turntable_s) const {
-  if (places_[object].empty()) return scene_.objects[object].pose_at(turntable_s);
+ObjectMoves::ObjectPoses ObjectMoves::placed(std::size_t object, double seconds,
+                                        double turntable_s) const {
+  if (places_[object].empty()) {
+    const Pose here = scene_.objects[object].pose_at(turntable_s);
+    return {here, here};
+  }
   return pose_at(object, place_at(object, seconds), turntable_s);
 }
 
@@ -266,12 +332,16 @@ std::vector<ObjectState> ObjectMoves::states() const {
     now.place =
         places_[i].empty() ? ObjectPlace{o.world_from_bake.translation, 0} : place_at(i, now_s_);
     now.visible = visible_[i] != 0;
+    if (o.on_plane) now.height_m = std::max(0., off_plane(o.world_from_bake, now.place.position_m));
+    now.lifts = !o.has_clip;
     now.plays = o.plays;
     now.speed = playing_[i].speed;
     if (playing_[i].next) now.speed = playing_[i].next->speed.value_or(now.speed);
     now.rest_position_m = o.world_from_bake.translation;
     now.normal = o.world_from_bake.rotation * glm::dvec3(0, 1, 0);
-    now.world_from_bake = placed(i, now_s_, playing_[i].clip_time_at(now_s_));
+    const ObjectPoses here = placed(i, now_s_, playing_[i].clip_time_at(now_s_));
+    now.world_from_bake = here.world_from_bake;
+    now.forward = here.world_from_floor.rotation * glm::dvec3(0, 0, 1);
     now.centre_m = now.world_from_bake * o.centre_m;
     now.radius_m = o.radius_m;
     out.push_back(std::move(now));

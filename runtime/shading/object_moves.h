@@ -17,11 +17,14 @@
 #pragma GCC visibility push(default)
 namespace penumbra::runtime {
 
-/// A place on the plane that an object stands on, and a turn about the plane's normal from how the
-/// scene has it.
+/// A place on the plane that an object stands on, or above it, and how it is turned there from how
+/// the scene has it.
 struct ObjectPlace {
-  glm::dvec3 position_m{0, 0, 0};
-  double turn_rad = 0;
+  glm::dvec3 position_m{0, 0, 0};  // as far off the plane as the object is lifted
+  double turn_rad = 0;             // about the plane's normal
+  /// Then it leans, about its middle: 0 towards its own z, pi/2 towards its x. Its lowest point
+  /// stays at its height.
+  double lean_rad = 0, lean_towards_rad = 0;
 };
 
 /// How an object plays its clip and turns on its turntable, from the next frame on. What is not
@@ -37,10 +40,13 @@ struct ObjectState {
   std::string name;
   ObjectPlace place;
   bool visible = true;
+  double height_m = 0;            // of its place over its plane
+  bool lifts = true;              // it may be lifted and leaned: it has no clip
   bool plays = false;             // a clip or a turntable
   double speed = 1;               // of that
   glm::dvec3 rest_position_m{0};  // where its scene has it
   glm::dvec3 normal{0, 1, 0};     // of the plane that it stands on
+  glm::dvec3 forward{0, 0, 1};    // its own z as turned, before it leans
   Pose world_from_bake;           // with its turntable's turn
   glm::dvec3 centre_m{0};         // of a sphere around it
   double radius_m = 0;
@@ -57,7 +63,8 @@ struct ObjectTrack {
   std::vector<TrackKey> keys;  // of each object in order of time
 };
 
-/// A CSV file: time_s,object,x_m,y_m,z_m,turn_deg.
+/// A CSV file: time_s,object,x_m,y_m,z_m,turn_deg and, where anything leans,
+/// lean_deg,lean_towards_deg.
 /// errors: kNotFound, kInvalid (file and line: a number, a time out of order)
 Result<ObjectTrack> read_object_track(const std::filesystem::path& path);
 
@@ -68,8 +75,9 @@ class ObjectMoves {
   explicit ObjectMoves(const PreparedScene& scene);
   /// In effect with the next frame, until another place or track comes. A turntable goes on
   /// turning.
-  /// errors: kNotFound (no such object: says which there are), kNonFinite, kInvalid (off the plane
-  ///         that its bake stands on by more than a centimetre)
+  /// A place within a centimetre of the plane is on it.
+  /// errors: kNotFound (no such object: says which there are), kNonFinite, kInvalid (below the
+  ///         plane; over 10,000 m away; an object with a clip that is lifted or leans)
   Result<void> put(std::string_view object, const ObjectPlace& place);
   /// Objects without a key in it stay where they are.
   /// errors: as put(), by the key's time; kInvalid (an object's times are not in order)
@@ -84,7 +92,9 @@ class ObjectMoves {
     bool visible;
     // Of one that is not, so far below its plane that it takes part in nothing
     Pose world_from_bake;
-    double clip_time_s, speed;          // of its clip and turntable
+    Pose world_from_floor;      // where it would be as its bake has it: on its plane, upright
+    bool lifted;                // the two differ
+    double clip_time_s, speed;  // of its clip and turntable
     std::optional<float> blend_weight;  // nothing: as the scene has it
   };
   /// A playback that was asked for begins with the first time it is asked after.
@@ -108,7 +118,7 @@ class ObjectMoves {
     unsigned instance;
     Pose world_from_bake;
     bool on_plane;
-    bool plays, blends;
+    bool plays, blends, has_clip;
     glm::dvec3 centre_m;  // in the bake frame
     double radius_m;
   };
@@ -120,8 +130,13 @@ class ObjectMoves {
   };
   Result<std::size_t> index_of(std::string_view object) const;
   Result<void> check(std::size_t object, const ObjectPlace& place) const;
-  Pose pose_at(std::size_t object, const ObjectPlace& place, double turntable_s) const;
-  Pose placed(std::size_t object, double seconds, double turntable_s) const;
+  struct ObjectPoses {
+    Pose world_from_bake, world_from_floor;
+    bool lifted = false;
+  };
+  ObjectPoses pose_at(std::size_t object, const ObjectPlace& place, double turntable_s) const;
+  ObjectPoses placed(std::size_t object, double seconds, double turntable_s) const;
+  Pose leaning(std::size_t object, const ObjectPlace& place) const;
   ObjectPlace place_at(std::size_t object, double seconds) const;
   std::optional<ObjectPlace> carried(std::size_t object, const Resting& before,
                                      ObjectPlace place) const;

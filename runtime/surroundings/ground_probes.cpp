@@ -14,7 +14,8 @@ GroundProbes::GroundProbes(const PreparedScene& scene)
     : scene_(&scene), objects_(scene.objects.size()) {}
 
 void GroundProbes::update(const shadows::RayOccluders& occluders, std::span<const Pose> poses,
-                          bool other_form) {
+                          std::span<const Pose> floors, bool other_form) {
+  floors_.assign(floors.begin(), floors.end());
   if (!any()) {
     poses_.assign(poses.begin(), poses.end());
     return;
@@ -45,7 +46,7 @@ glm::dvec3 GroundProbes::place(std::size_t object, std::size_t point) const {
   const prt::GroundGrid& grid = scene_->objects[object].baked.receiver->grid;
   const glm::vec2 at = grid.position({(static_cast<float>(point % kSize) + .5f) / kSize,
                                       (static_cast<float>(point / kSize) + .5f) / kSize});
-  return poses_[object] * glm::dvec3(at.x, grid.height, at.y);
+  return floors_[object] * glm::dvec3(at.x, grid.height, at.y);
 }
 
 void GroundProbes::look_from_row(std::size_t object, int row,
@@ -53,7 +54,7 @@ void GroundProbes::look_from_row(std::size_t object, int row,
   constexpr int kPacket = prt::RayWorld::kPacket;
   std::vector<GroundHit>& out = rows_[static_cast<std::size_t>(row)];
   out.clear();
-  const glm::dvec3 up = poses_[object].rotation * glm::dvec3(0, 1, 0);
+  const glm::dvec3 up = floors_[object].rotation * glm::dvec3(0, 1, 0);
   const glm::mat3 frame = prt::frame_around(glm::vec3(up));
   const prt::Mesh& mesh = scene_->objects[object].baked.mesh;
   const glm::quat bake_from_world(glm::conjugate(poses_[object].rotation));

@@ -43,7 +43,13 @@ class GroundProbes {
   bool any() const { return !scene_->real_mesh.triangles.empty() || scene_->planes.size() > 1; }
   /// Casts rays where something moved; `other_form`: of an object, where poses do not tell.
   /// in: occluders as made for this scene
-  void update(const shadows::RayOccluders& occluders, std::span<const Pose> poses, bool other_form);
+  /// floors: where the bake frames would be if the objects stood on their planes
+  void update(const shadows::RayOccluders& occluders, std::span<const Pose> poses,
+              std::span<const Pose> floors, bool other_form);
+  void update(const shadows::RayOccluders& occluders, std::span<const Pose> poses,
+              bool other_form) {
+    update(occluders, poses, poses, other_form);
+  }
 
   /// For an object of a scene where any() is false: casts its rays if it never did. In its own
   /// frame they meet the same wherever it stands; a clip's meet the form that it has then.
@@ -70,7 +76,7 @@ class GroundProbes {
 
   const PreparedScene* scene_;
   prt::RayPatterns patterns_{kRays};
-  std::vector<Pose> poses_;
+  std::vector<Pose> poses_, floors_;
   std::array<std::vector<GroundHit>, kSize> rows_;  // of one object
   std::vector<GroundObject> objects_;
 };

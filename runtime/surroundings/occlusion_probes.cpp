@@ -89,12 +89,14 @@ void set_ray(prt::RayWorld::Rays& rays, int lane, const glm::vec3& from, const g
 // Directions that the object hides from itself do not count: its transfer knows of them.
 class HiddenSphere {
  public:
+  // up: of the object's plane
   HiddenSphere(const PreparedScene& scene, std::size_t object, const Pose& pose,
-               const shadows::RayOccluders& occluders, int own_plane)
+               const glm::vec3& up, const shadows::RayOccluders& occluders, int own_plane)
       : scene_(scene),
         mesh_(scene.objects[object].baked.mesh),
         own_(static_cast<int>(object)),
         own_plane_(own_plane),
+        up_(up),
         turn_(pose.rotation_matrix()),
         shift_(pose.translation),
         occluders_(occluders) {}
@@ -103,7 +105,7 @@ class HiddenSphere {
     out.clear();
     for (int k = 0; k < kSphereRays; ++k) {
       const glm::vec3 d(direction_of(k));
-      if (has_floor && glm::dot(d, turn_[1]) <= -kLevelRay) continue;
+      if (has_floor && glm::dot(d, up_) <= -kLevelRay) continue;
       const auto from = open_place(k, d);
       if (!from) continue;
       set_ray(rays_, filled_++, *from, d);
@@ -142,6 +144,7 @@ class HiddenSphere {
   const PreparedScene& scene_;
   const prt::Mesh& mesh_;
   int own_, own_plane_;
+  glm::vec3 up_;
   glm::mat3 turn_;
   glm::vec3 shift_;
   const shadows::RayOccluders& occluders_;
@@ -176,8 +179,10 @@ OcclusionProbes::OcclusionProbes(const PreparedScene& scene)
   }
 }
 
-void OcclusionProbes::update(const shadows::RayOccluders& occluders, std::span<const Pose> poses) {
+void OcclusionProbes::update(const shadows::RayOccluders& occluders, std::span<const Pose> poses,
+                             std::span<const Pose> floors) {
   if (!any() || objects_.empty()) return;
+  floors_.assign(floors.begin(), floors.end());
   const bool still = std::ranges::equal(poses, poses_);
   if (!still) {
     std::swap(poses_, poses_before_);
@@ -248,14 +253,15 @@ struct OcclusionProbes::Surroundings {
   std::size_t object;
   glm::mat3 turn;  // world from bake frame
   glm::vec3 shift;
-  std::optional<float> floor_height;   // in the bake frame
+  std::optional<float> floor_height;   // along `up`
+  glm::vec3 up, on_floor;              // of its plane
   std::span<const prt::Plane> planes;  // empty where nothing is real but one
   int own_plane;                       // that is this floor
   std::span<const Other> others;       // that are not this one
 
   const prt::Mesh& mesh() const { return scene.objects[object].baked.mesh; }
   float above_floor(const glm::vec3& world) const {
-    return glm::dot(world - shift, turn[1]) - *floor_height;
+    return glm::dot(world - on_floor, up) - *floor_height;
   }
 };
 
@@ -293,7 +299,7 @@ std::optional<ProbeHit> OcclusionProbes::hit_of(const Met& met, int lane, std::s
     return hit;
   }
   float distance = std::numeric_limits<float>::max();
-  const float drop = -glm::dot(hit.direction, in.turn[1]);
+  const float drop = -glm::dot(hit.direction, in.up);
   hit.above_floor = in.floor_height && drop > kLevelRay;
   if (hit.above_floor) {
     const glm::vec3 from(met.rays.ox[lane], met.rays.oy[lane], met.rays.oz[lane]);
@@ -326,15 +332,25 @@ void OcclusionProbes::look_from(std::size_t index, const shadows::RayOccluders& 
       others.push_back({static_cast<int>(k), glm::vec3(poses_[k] * glm::dvec3(objects_[k].centre)),
                         objects_[k].radius});
   const auto planes = any_real() ? std::span(scene_->planes) : std::span<const prt::Plane>();
-  Surroundings in{*scene_, occluders,        index, pose.rotation_matrix(), pose.translation, {},
-                  planes,  RealPoint::kMesh, others};
+  const Pose& floor = floors_[index];
+  const glm::dvec3 up = floor.rotation * glm::dvec3(0, 1, 0);
+  Surroundings in{*scene_,
+                  occluders,
+                  index,
+                  pose.rotation_matrix(),
+                  pose.translation,
+                  {},
+                  glm::vec3(up),
+                  glm::vec3(floor.translation),
+                  planes,
+                  RealPoint::kMesh,
+                  others};
   if (baked.receiver) {
     in.floor_height = baked.receiver->grid.height;
-    in.own_plane = plane_at(scene_->planes, pose * glm::dvec3(0, *in.floor_height, 0),
-                            pose.rotation * glm::dvec3(0, 1, 0));
+    in.own_plane = plane_at(scene_->planes, floor * glm::dvec3(0, *in.floor_height, 0), up);
   }
   if (any_real())
-    HiddenSphere(*scene_, index, pose, occluders, in.own_plane)
+    HiddenSphere(*scene_, index, pose, in.up, occluders, in.own_plane)
         .find_real(baked.receiver.has_value(), o.by_real);
   const std::size_t blocks = (o.used_probes(o.is_fine).size() + kPerBlock - 1) / kPerBlock;
   parallel_for(std::size_t{0}, blocks, [&](std::size_t block) { look_from_block(o, block, in); });

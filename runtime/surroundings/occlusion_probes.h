@@ -65,8 +65,13 @@ class OcclusionProbes {
   /// Looks around from what has moved, and from what sees a good deal of it. What sees little of
   /// it waits, for its turn or until that has come to a visible change. Once all have looked, the
   /// same again costs nothing.
+  /// floors: where the bake frames would be if the objects stood on their planes
   /// in:  occluders as made for this scene (as DirectLightStage::occluders)
-  void update(const shadows::RayOccluders& occluders, std::span<const Pose> poses);
+  void update(const shadows::RayOccluders& occluders, std::span<const Pose> poses,
+              std::span<const Pose> floors);
+  void update(const shadows::RayOccluders& occluders, std::span<const Pose> poses) {
+    update(occluders, poses, poses);
+  }
 
   /// An object in deep shade asks for all probes: what little light reaches it comes from a small
   /// part of what is around, which the next probe may not see.
@@ -160,7 +165,7 @@ class OcclusionProbes {
 
   const PreparedScene* scene_;
   prt::RayPatterns patterns_{kRays}, fine_patterns_{kFineRays};
-  std::vector<Pose> poses_, poses_before_;
+  std::vector<Pose> poses_, poses_before_, floors_;
   int still_frames_ = 0;
   std::vector<Object> objects_;
 };

@@ -6,7 +6,7 @@ const fixed = (x, digits) => x.toFixed(digits).replace(/^-(?=[0.]*$)/, "").repla
 const significant = (x) => fixed(x, Math.abs(x) < 0.0995 ? 3 : Math.abs(x) < 9.95 ? 2 : Math.abs(x) < 99.5 ? 1 : 0);
 const percent = (x) => `${fixed(100 * x, x > 0 && x < 0.00995 ? 2 : x < 0.995 ? 1 : 0)} %`;
 const count = (n, one, many = one + "s") => `${n.toLocaleString("en")} ${n === 1 ? one : many}`;
-const degrees = (rad) => rad * 180 / Math.PI;
+const degrees = (rad) => rad * 180 / Math.PI, radians = (deg) => deg * Math.PI / 180;
 function duration(s) {
   if (s < 60) return `${Math.floor(s)} s`;
   if (s < 3600) return `${Math.floor(s / 60)} min ${Math.floor(s % 60)} s`;
@@ -111,7 +111,8 @@ function shownObjects() {
   return objects.map((o) => {
     const own = asked.get(o.name);
     if (!own || own.until < performance.now()) return o;
-    return { ...o, ...own.body, centre_m: add(o.centre_m, sub(own.body.position_m ?? o.position_m, o.position_m)) };
+    const by = sub(own.body.position_m ?? o.position_m, o.position_m);
+    return { ...o, ...own.body, centre_m: add(o.centre_m, by), height_m: o.height_m + dot(by, o.normal) };
   });
 }
 const objectNamed = (name) => shownObjects().find((o) => o.name === name);
@@ -151,11 +152,23 @@ function moveBy(o, x, y) {
   const across = unit(flat), away = cross(o.normal, across);
   change(o.name, { position_m: add(o.position_m, add(scale(across, x), scale(away, y))) });
 }
+/** In degrees, the way that the camera looks; what it leans already counts. */
+function leanBy(o, deg) {
+  const look = camera ? cross(o.normal, camera.right) : o.forward, side = cross(o.normal, o.forward);
+  const to = Math.atan2(dot(look, side), dot(look, o.forward)), from = radians(o.lean_towards_deg);
+  const x = o.lean_deg * Math.sin(from) + deg * Math.sin(to), z = o.lean_deg * Math.cos(from) + deg * Math.cos(to);
+  change(o.name, { lean_deg: Math.hypot(x, z), lean_towards_deg: degrees(Math.atan2(x, z)) });
+}
+const liftedBy = (o, m) => add(o.position_m, scale(o.normal, Math.max(m, -o.height_m)));
+const liftBy = (o, m) => o.lifts && change(o.name, { position_m: liftedBy(o, m) });
 const turnBy = (o, deg) => change(o.name, { turn_deg: ((o.turn_deg + deg + 180) % 360 + 360) % 360 - 180 });
 const speedOf = (o) => o.speed ?? speeds.get(o.name) ?? 1;
 const acts = {
   left: (o) => turnBy(o, 15),
   right: (o) => turnBy(o, -15),
+  lift: (o) => liftBy(o, 0.05),
+  lower: (o) => liftBy(o, -0.05),
+  upright: (o) => o.lifts && change(o.name, { lean_deg: 0, position_m: liftedBy(o, -o.height_m) }),
   visible: (o) => change(o.name, { visible: !o.visible }),
   play: (o) => o.plays && change(o.name, { speed: speedOf(o) ? 0 : 1 }),
 };
@@ -184,8 +197,12 @@ function showObjects() {
   $("selected").hidden = !o;
   if (o) {
     const at = o.position_m.map((x, i) => `${"xyz"[i]} ${fixed(x, 2)}`).join(", ");
-    setText("place", `${o.name} at ${at} m, turned ${fixed(o.turn_deg, 0)}°`);
+    const height = o.height_m, lean = Math.abs(o.lean_deg);
+    setText("place", `${o.name} at ${at} m, turned ${fixed(o.turn_deg, 0)}°`
+      + (height > 0.01 ? `, lifted ${fixed(100 * height, 0)} cm` : "") + (lean > 0.5 ? `, leaning ${fixed(lean, 0)}°` : ""));
     const button = (act) => document.querySelector(`[data-act=${act}]`);
+    for (const act of ["lift", "lower"]) button(act).hidden = !o.lifts;
+    button("upright").hidden = height < 0.01 && lean < 0.5;
     button("visible").textContent = o.visible ? "Hide" : "Show";
     button("play").hidden = !o.plays;
     button("play").textContent = speedOf(o) ? "Rest" : "Play";
@@ -258,7 +275,11 @@ function pointerMove(event) {
   drag.moved ||= Math.hypot(...by) > (event.pointerType === "touch" ? 8 : 3);
   if (!drag.moved) return;
   $("stage").classList.add("dragging");
-  if (drag.turns) return turnBy({ ...drag.from, name: drag.name }, by[0] * 0.5);
+  if (drag.turns) {
+    turnBy({ ...drag.from, name: drag.name }, by[0] * 0.5);
+    if (drag.from.lifts && Math.abs(by[1]) > 10) leanBy(drag.from, by[1] * -0.5);
+    return;
+  }
   const to = onPlane(camera, rayThrough(camera, add(pixelUnder(event), drag.offset)), drag.point, drag.from.normal);
   if (to) change(drag.name, { position_m: add(drag.from.position_m, sub(to, drag.point)) });
 }
@@ -300,6 +321,8 @@ function keyDown(event) {
   const keys = {
     ArrowLeft: () => moveBy(o, -step, 0), ArrowRight: () => moveBy(o, step, 0),
     ArrowUp: () => moveBy(o, 0, step), ArrowDown: () => moveBy(o, 0, -step),
+    PageUp: () => acts.lift(o), PageDown: () => acts.lower(o), Home: () => acts.upright(o),
+    r: () => o.lifts && leanBy(o, turn), f: () => o.lifts && leanBy(o, -turn),
     q: () => turnBy(o, turn), "[": () => turnBy(o, turn), "{": () => turnBy(o, turn),
     e: () => turnBy(o, -turn), "]": () => turnBy(o, -turn), "}": () => turnBy(o, -turn),
     v: () => acts.visible(o), Escape: () => select(null),

@@ -24,8 +24,9 @@ using nlohmann::json;
 namespace fs = std::filesystem;
 
 constexpr double kDegree = std::numbers::pi / 180;
-constexpr std::string_view kChangeKeys[] = {"position_m",  "turn_deg", "visible",
-                                            "clip_time_s", "speed",    "blend_weight"};
+constexpr std::string_view kChangeKeys[] = {
+    "position_m", "turn_deg",    "lean_deg", "lean_towards_deg",
+    "visible",    "clip_time_s", "speed",    "blend_weight"};
 
 Result<double> number(const json& value, const std::string& key) {
   constexpr double kMost = 1e6;  // of metres, degrees, seconds
@@ -68,6 +69,8 @@ Result<void> read_key(const std::string& key, const json& value, ObjectChange& o
     return unknown(key, kChangeKeys);
   PENUMBRA_ASSIGN(n, number(value, key));
   if (key == "turn_deg") out.turn_deg = n;
+  if (key == "lean_deg") out.lean_deg = n;
+  if (key == "lean_towards_deg") out.lean_towards_deg = n;
   if (key == "clip_time_s") out.playback.clip_time_s = n;
   if (key == "speed") out.playback.speed = n;
   if (key == "blend_weight") out.playback.blend_weight = n;
@@ -293,7 +296,10 @@ Result<void> SceneControl::change(std::string_view object, const ObjectChange& c
   if (change.position_m) place.position_m = *change.position_m;
   if (change.shift_m && before) place.position_m = before->rest_position_m + *change.shift_m;
   if (change.turn_deg) place.turn_rad = *change.turn_deg * kDegree;
-  const bool moves = change.position_m || change.shift_m || change.turn_deg || !before;
+  if (change.lean_deg) place.lean_rad = *change.lean_deg * kDegree;
+  if (change.lean_towards_deg) place.lean_towards_rad = *change.lean_towards_deg * kDegree;
+  const bool moves = change.position_m || change.shift_m || change.turn_deg || change.lean_deg ||
+                     change.lean_towards_deg || !before;
   if (moves) PENUMBRA_TRY(pipeline_->move_object(object, place));
   if (any(change.playback))
     if (const auto played = pipeline_->play_object(object, change.playback); !played) {
@@ -430,6 +436,11 @@ json SceneControl::objects() const {
     out.push_back({{"name", o.name},
                    {"position_m", to_json(o.place.position_m)},
                    {"turn_deg", o.place.turn_rad / kDegree},
+                   {"lean_deg", o.place.lean_rad / kDegree},
+                   {"lean_towards_deg", o.place.lean_towards_rad / kDegree},
+                   {"forward", to_json(o.forward)},
+                   {"height_m", o.height_m},
+                   {"lifts", o.lifts},
                    {"visible", o.visible},
                    {"plays", o.plays},
                    {"speed", o.speed},

@@ -21,9 +21,10 @@ namespace penumbra::service {
 
 /// What is not given stays as it is.
 struct ObjectChange {
-  std::optional<glm::dvec3> position_m{};  // on the plane that the object stands on
+  std::optional<glm::dvec3> position_m{};  // on the plane that the object stands on, or above it
   std::optional<glm::dvec3> shift_m{};     // or so far from where the scene has it
   std::optional<double> turn_deg{};        // about the plane's normal, from how the scene has it
+  std::optional<double> lean_deg{}, lean_towards_deg{};  // as runtime::ObjectPlace
   std::optional<bool> visible{};
   runtime::ObjectPlayback playback{};
 };
@@ -62,7 +63,7 @@ class SceneControl {
 
   /// In effect with the next frame. One that is refused changes nothing.
   /// errors: kUnavailable (no pipeline yet), kNotFound (no such object), kNonFinite, kInvalid (off
-  ///         its plane, nothing to play)
+  ///         its plane on the wrong side, nothing to play)
   Result<void> change(std::string_view object, const ObjectChange& change);
   /// There as soon as it is baked.
   /// errors: kUnavailable (no pipeline yet), kInvalid (the name is taken, too many objects)
@@ -91,9 +92,7 @@ class SceneControl {
   /// errors: kUnavailable (no pipeline yet), kInvalid (not above 0 and at most 1)
   Result<void> set_max_shadow_error(double error);
 
-  /// By object: name, position_m, turn_deg, visible, plays, speed, normal, centre_m,
-  /// radius_m. Null before
-  /// there is a pipeline.
+  /// By object, as ObjectState. Null before there is a pipeline.
   nlohmann::json objects() const;
   /// Planes and lamps.
   nlohmann::json surroundings() const;

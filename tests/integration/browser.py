@@ -13,6 +13,7 @@ import urllib.request
 ELEMENT = "element-6066-11e4-a52e-4f735466cecf"  # WebDriver's key of an element's reference
 SHIFT, ENTER = "\ue008", "\ue007"
 UP, RIGHT = "\ue013", "\ue014"
+PAGE_UP, HOME = "\ue00e", "\ue011"
 
 
 class BrowserError(Exception):

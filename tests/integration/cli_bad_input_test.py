@@ -235,7 +235,7 @@ class BadCaptures(CliTest):
         self.assertNotEqual(*pictures)
         for words, text in ((["moves.csv", "cubes"], head + "0,cubes,0,0,0,0\n"),
                             (["moves.csv:2", "not a number"], head + "0,cube,0,x,0,0\n"),
-                            (["cube", "off it"], head + "0,cube,0,3,0,0\n"), (["moves.csv:1"], "0,cube,0,0,0,0\n")):
+                            (["cube", "below"], head + "0,cube,0,-3,0,0\n"), (["moves.csv:1"], "0,cube,0,0,0,0\n")):
             moves.write_text(text)
             self.expect_refusal(words, *command, "--moves", moves, "--out", self.root / "out" / "refused")
 

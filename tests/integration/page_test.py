@@ -152,7 +152,7 @@ class Page(CliTest):
 
     def put_back(self):
         if self.service.process.poll() is None:
-            self.patch(**{key: self.at_first[key] for key in ("position_m", "turn_deg", "visible")})
+            self.patch(**{key: self.at_first[key] for key in ("position_m", "turn_deg", "lean_deg", "visible")})
             self.wait_until(lambda: max(abs(a - b) for a, b in zip(self.service.object()["centre_m"],
                                                                    self.at_first["centre_m"])) < 1e-3, "put back")
 
@@ -269,6 +269,23 @@ class Page(CliTest):
         self.wait_until(lambda: "hidden" in self.browser.text("#objects button"), "told in words")
         self.browser.keys("v")
         self.wait_until(lambda: self.service.object()["visible"], "shown again")
+
+    def test_keys_lift_and_lean(self):
+        before, middle = self.service.picture(), pixel_of(self.view(), self.at_first["centre_m"])
+        self.browser.run("document.querySelector('#objects button').focus()")
+        self.browser.keys(web.ENTER)
+        self.assertTrue(self.browser.run("return document.querySelector('[data-act=upright]').hidden"))
+        self.browser.keys(web.PAGE_UP * 4)
+        self.wait_until(lambda: abs(self.service.object()["height_m"] - .2) < 1e-6, "lifted by 20 cm")
+        self.browser.keys("rr")
+        self.wait_until(lambda: abs(self.service.object()["lean_deg"] - 10) < .1, "leans by 10 degrees")
+        self.wait_until(lambda: "lifted 20 cm, leaning 10" in self.browser.text("#place"), "told in words")
+        self.wait_until(lambda: changed(before, self.service.picture(), middle, 40) > .08, "the picture shows it")
+        self.shoot("lifted")
+        self.browser.keys(web.HOME)
+        self.wait_until(lambda: self.service.object()["height_m"] == 0 and self.service.object()["lean_deg"] == 0,
+                        "upright on its floor")
+        self.wait_until(lambda: changed(before, self.service.picture(), middle, 40) < .02, "as before")
 
     def test_budget_is_set_and_a_refusal_is_told(self):
         at_first = self.wait_until(lambda: self.browser.run("return document.getElementById('budget').value"),

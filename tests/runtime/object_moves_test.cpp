@@ -127,6 +127,25 @@ TEST_F(MovedObjects, LookAsIfTheSceneHadThemThere) {
   EXPECT_LT(different(before, drawn(*moved, 0), 3), 20u);
 }
 
+// Lifted, put back and lifted again: the same pictures, and in the end the first one.
+TEST_F(MovedObjects, LiftedAndPutBackLookAsBefore) {
+  const glm::dvec3 there(-.1, 0, .1), up(-.1, .15, .1);
+  auto live = pipeline(scene_of({thing("moved", there), thing("other", {.3, 0, .05})}));
+  PENUMBRA_NEED_GL(live);
+  ASSERT_TRUE(live) << live.error().detail;
+  const auto settled = [&](const ObjectPlace& place) {
+    EXPECT_TRUE(live->move_object("moved", place));
+    for (std::size_t i = 0; i < 4; ++i) drawn(*live, i);
+    return drawn(*live, 4);
+  };
+  const Image<Rgb8> standing = settled({there}), lifted = settled({up}),
+                    leaning = settled({there, 0, .5, .7});
+  EXPECT_GT(different(standing, lifted, 8), 500u);
+  EXPECT_GT(different(standing, leaning, 8), 200u);
+  EXPECT_LT(different(lifted, settled({up}), 3), 5u);
+  EXPECT_LT(different(standing, settled({there}), 3), 20u);
+}
+
 TEST_F(MovedObjects, ATrackIsFollowedByTheFramesTimes) {
   const glm::dvec3 a(-.3, 0, .1), b(.3, 0, 0);
   auto tracked = pipeline(scene_of({thing("walker", a)}));
@@ -261,7 +280,10 @@ TEST(ObjectMoves, BadPlacesAreRefusedAndChangeNothing) {
   EXPECT_NE(unknown.error().detail.find("cup"), std::string::npos) << unknown.error().detail;
   for (const ObjectPlace& place : {ObjectPlace{{NAN, 0, 0}, 0}, ObjectPlace{{0, 0, 0}, INFINITY}})
     EXPECT_EQ(moves.put("cup", place).error().code, ErrorCode::kNonFinite);
-  EXPECT_EQ(moves.put("cup", {{0, .2, 0}, 0}).error().code, ErrorCode::kInvalid);
+  for (const ObjectPlace& place :
+       {ObjectPlace{{0, -.2, 0}, 0}, ObjectPlace{{1e9, 0, 0}, 0}, ObjectPlace{{0, 1e5, 0}, 0}})
+    EXPECT_EQ(moves.put("cup", place).error().code, ErrorCode::kInvalid);
+  EXPECT_EQ(moves.put("cup", {{0, 0, 0}, 0, NAN}).error().code, ErrorCode::kNonFinite);
   const auto track = moves.follow({{{0, "cup", {{1, 0, 0}, 0}}, {1.5, "cup", {{1, -3, 0}, 0}}}});
   ASSERT_FALSE(track);
   EXPECT_NE(track.error().where.find("1.5 s"), std::string::npos) << track.error().where;
@@ -272,6 +294,69 @@ TEST(ObjectMoves, BadPlacesAreRefusedAndChangeNothing) {
   EXPECT_TRUE(moves.put("cup", {{1, .002, -2}, .5}));
   EXPECT_NEAR(moves.at(0, 0).world_from_bake.translation.x, 1, 1e-12);
   EXPECT_NEAR(moves.at(0, 0).world_from_bake.translation.y, 0, 1e-12) << "on its plane";
+}
+
+// Above its plane an object is lifted; it leans about its middle, and its lowest point stays at its
+// height.
+TEST(ObjectMoves, LiftAndLeanOverTheFloor) {
+  const auto scene = prepared(scene_of({thing("cup", {0, 0, 0})}));
+  ObjectMoves moves(*scene);
+  const prt::Mesh& mesh = scene->objects[0].baked.mesh;
+  const glm::dvec3 middle(prt::bounds_of(mesh).centre());
+  const auto lowest = [&](const Pose& pose) {
+    double low = HUGE_VAL;
+    for (const glm::vec3& p : mesh.positions) low = std::min(low, (pose * glm::dvec3(p)).y);
+    return low;
+  };
+  EXPECT_FALSE(moves.at(0, 0).lifted);
+  const double at_rest = lowest(moves.at(0, 0).world_from_bake);
+  ASSERT_TRUE(moves.put("cup", {{.3, .2, .1}, .5}));
+  const ObjectMoves::ObjectNow lifted = moves.at(0, 1);
+  EXPECT_TRUE(lifted.lifted);
+  EXPECT_NEAR(lifted.world_from_bake.translation.y - lifted.world_from_floor.translation.y, .2,
+              1e-12);
+  EXPECT_NEAR(moves.states()[0].height_m, .2, 1e-12);
+  for (const double towards : {0., .5 * kPi, 4.})
+    for (const double lean : {.3, 1.6, kPi}) {
+      ASSERT_TRUE(moves.put("cup", {{.3, .2, .1}, .5, lean, towards}));
+      const ObjectMoves::ObjectNow now = moves.at(0, 1);
+      EXPECT_NEAR(lowest(now.world_from_bake), at_rest + .2, 1e-6) << lean << " " << towards;
+      const glm::dvec3 up = now.world_from_bake.rotation * glm::dvec3(0, 1, 0),
+                       before = now.world_from_floor * middle, after = now.world_from_bake * middle;
+      EXPECT_NEAR(up.y, std::cos(lean), 1e-9);
+      EXPECT_NEAR(before.x, after.x, 1e-9) << "about its middle";
+      EXPECT_NEAR(before.z, after.z, 1e-9);
+      if (lean < 2) {
+        const glm::dvec3 way = glm::angleAxis(.5, glm::dvec3(0, 1, 0)) *
+                               glm::dvec3(std::sin(towards), 0, std::cos(towards));
+        EXPECT_NEAR(glm::dot(up, way), std::sin(lean), 1e-9) << "towards its own z at 0, x at 90";
+      }
+    }
+  // Halfway between two keys it leans half as much.
+  ASSERT_TRUE(
+      moves.follow({{{0, "cup", {{0, 0, 0}, 0, .4, 1}}, {1, "cup", {{0, 0, 0}, 0, .8, 1}}}}));
+  EXPECT_NEAR((moves.at(0, .5).world_from_bake.rotation * glm::dvec3(0, 1, 0)).y, std::cos(.6),
+              1e-9);
+  ASSERT_TRUE(moves.put("cup", {{0, 0, 0}, 0}));
+  EXPECT_FALSE(moves.at(0, 2).lifted);
+  EXPECT_EQ(moves.at(0, 2).world_from_bake, scene->objects[0].world_from_bake);
+}
+
+TEST(ObjectMoves, WhatPlaysAClipIsNeitherLiftedNorLeaned) {
+  SceneObject walker;
+  walker.name = "walker";
+  walker.asset = "builtin:walker";
+  walker.animation = "Walk";
+  walker.live = true;
+  const auto scene = prepared(scene_of({walker}));
+  ObjectMoves moves(*scene);
+  for (const ObjectPlace& place : {ObjectPlace{{0, .3, 0}}, ObjectPlace{{0, 0, 0}, 0, .2}}) {
+    const auto refused = moves.put("walker", place);
+    ASSERT_FALSE(refused);
+    EXPECT_EQ(refused.error().code, ErrorCode::kInvalid);
+    EXPECT_NE(refused.error().detail.find("clip"), std::string::npos);
+  }
+  EXPECT_FALSE(moves.states()[0].lifts);
 }
 
 TEST(ObjectMoves, PlaybackStandsStillGoesBackAndGoesOnFromWhereItHasComeTo) {
@@ -355,6 +440,15 @@ TEST_F(TrackFile, IsReadAsItStands) {
   EXPECT_EQ(track->keys[1].time_s, .5);
   EXPECT_NEAR(track->keys[1].place.turn_rad, -kPi, 1e-12);
   EXPECT_EQ(track->keys[2].object, "b");
+}
+
+TEST_F(TrackFile, HasColumnsForWhatLeans) {
+  const std::string head = "time_s,object,x_m,y_m,z_m,turn_deg,lean_deg,lean_towards_deg\n";
+  const auto track = read(head + "0,cup,1,.5,-2,90,30,180\n");
+  ASSERT_TRUE(track) << track.error().detail;
+  EXPECT_NEAR(track->keys[0].place.lean_rad, kPi / 6, 1e-12);
+  EXPECT_NEAR(track->keys[0].place.lean_towards_rad, kPi, 1e-12);
+  expect_invalid(head + "0,cup,1,.5,-2,90\n", 2, "8 columns");
 }
 
 TEST_F(TrackFile, DamagedOnesAreNamedByFileAndLine) {

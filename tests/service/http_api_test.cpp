@@ -356,7 +356,8 @@ TEST(HttpApi, ANewObjectPlaceIsInTheNextFrame) {
   EXPECT_EQ(listed[0]["position_m"], nlohmann::json({.2, 0, .1}));
   EXPECT_NEAR(listed[0]["turn_deg"].get<double>(), 30, 1e-9);
 
-  EXPECT_EQ(change("box", R"({"position_m": [0.2, 0.5, 0.1]})"), 400) << "off its floor";
+  EXPECT_EQ(change("box", R"({"position_m": [0.2, -0.5, 0.1]})"), 400) << "below its floor";
+  EXPECT_EQ(change("box", R"({"position_m": [0.2, 20000, 0.1]})"), 400) << "out of the world";
   EXPECT_EQ(change("box", R"({"turn_deg": 90, "speed": 2})"), 400) << "it plays nothing";
   EXPECT_EQ(change("crate", R"({"visible": false})"), 404);
   EXPECT_TRUE(drawn() == elsewhere) << "what is refused changes nothing";
@@ -364,6 +365,15 @@ TEST(HttpApi, ANewObjectPlaceIsInTheNextFrame) {
   EXPECT_EQ(change("box", R"({"visible": false})"), 200);
   EXPECT_TRUE(drawn() == *frame.pixels);
   EXPECT_EQ(change("box", R"({"visible": true, "position_m": [0, 0, 0], "turn_deg": 0})"), 200);
+  EXPECT_TRUE(drawn() == at_first);
+  EXPECT_EQ(change("box", R"({"position_m": [0, 0.1, 0], "lean_deg": 20, "lean_towards_deg": 90})"),
+            200);
+  EXPECT_FALSE(drawn() == at_first);
+  const auto lifted = nlohmann::json::parse(client.Get("/v1/objects")->body)["objects"][0];
+  EXPECT_NEAR(lifted["height_m"].get<double>(), .1, 1e-9);
+  EXPECT_NEAR(lifted["lean_deg"].get<double>(), 20, 1e-9);
+  EXPECT_TRUE(lifted["lifts"].get<bool>());
+  EXPECT_EQ(change("box", R"({"position_m": [0, 0, 0], "lean_deg": 0})"), 200);
   EXPECT_TRUE(drawn() == at_first);
 
   // The same from a scene file.

@@ -124,6 +124,29 @@ TEST_F(Mouse, TurnsByTheWheelAndTheRightButton) {
   EXPECT_LT(glm::distance(places_.at("left").position_m, glm::dvec3(-.4, 0, 0)), 1e-9);
 }
 
+TEST_F(Mouse, LiftsWithShiftAndLeansByTheRightButton) {
+  const glm::dvec2 hold = seen({-.4, .15, 0});
+  const auto with_shift = [&](const glm::dvec2& place) {
+    compositor::Pointer pointer{place, true};
+    pointer.shift = true;
+    mouse_->update(pointer, camera_, world_from_camera_);
+  };
+  with_shift(hold);
+  with_shift(hold - glm::dvec2(0, .1));
+  const double height = places_.at("left").position_m.y;
+  EXPECT_GT(height, .1);
+  EXPECT_NEAR(places_.at("left").position_m.x, -.4, 1e-12);
+  with_shift(hold + glm::dvec2(0, .5));
+  EXPECT_NEAR(places_.at("left").position_m.y, 0, 1e-12) << "never below its floor";
+  at(hold, false);
+  at(hold, false, true);
+  at(hold - glm::dvec2(0, .1), false, true);
+  EXPECT_NEAR(places_.at("left").lean_rad, .1 * kPi, 1e-12);
+  EXPECT_NEAR(std::abs(places_.at("left").lean_towards_rad), kPi, .02) << "away from the camera";
+  at(hold, false, true);
+  EXPECT_NEAR(places_.at("left").lean_rad, 0, 1e-9) << "and back";
+}
+
 TEST_F(Mouse, BesideObjectsAndInTheSkyItMovesNothing) {
   at(seen({0, 0, .6}), true);
   at(seen({.2, 0, .6}), true);

@@ -176,9 +176,10 @@ void add_composite(CLI::App& parent, Action& action) {
                 "before");
   c->add_option("--seconds", composite_options.seconds,
                 "End so many seconds behind the first picture; 0: at the end");
-  c->add_option("--moves", composite_options.moves,
-                "Places of objects over time, a CSV file with the columns "
-                "time_s,object,x_m,y_m,z_m,turn_deg");
+  c->add_option(
+      "--moves", composite_options.moves,
+      "Places of objects over time, a CSV file with the columns "
+      "time_s,object,x_m,y_m,z_m,turn_deg and, where one leans, lean_deg,lean_towards_deg");
   c->add_option("--bands", composite_options.bands, kMaxBandsHelp)->capture_default_str();
   c->add_option("--light", composite_options.light,
                 "Where a recording's light is taken from: cameras, track (maps that were measured "

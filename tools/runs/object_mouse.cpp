@@ -95,13 +95,40 @@ void ObjectMouse::turn(double angle_rad) {
   put(held_->object);
 }
 
+void ObjectMouse::lift(double by_m) {
+  const runtime::PreparedObject& o = scene_.objects[held_->object];
+  if (by_m == 0 || o.animation || !o.baked.receiver) return;
+  glm::dvec3& place = places_[held_->object].position_m;
+  const glm::dvec3 normal = normal_of(o);
+  const double height = glm::dot(place - o.world_from_bake.translation, normal);
+  place += (std::max(0., height + by_m) - height) * normal;
+  put(held_->object);
+}
+
+// By so much more, in the world's direction.
+void ObjectMouse::lean(double angle_rad, const glm::dvec3& towards) {
+  const runtime::PreparedObject& o = scene_.objects[held_->object];
+  if (angle_rad == 0 || o.animation) return;
+  runtime::ObjectPlace& place = places_[held_->object];
+  const glm::dvec3 own = glm::conjugate(o.world_from_bake.rotation *
+                                        glm::angleAxis(place.turn_rad, glm::dvec3(0, 1, 0))) *
+                         towards;
+  const double flat = std::hypot(own.x, own.z);
+  if (flat < 1e-6) return;
+  const double x = place.lean_rad * std::sin(place.lean_towards_rad) + angle_rad * own.x / flat,
+               z = place.lean_rad * std::cos(place.lean_towards_rad) + angle_rad * own.z / flat;
+  place.lean_rad = std::hypot(x, z);
+  place.lean_towards_rad = std::atan2(x, z);
+  put(held_->object);
+}
+
 void ObjectMouse::update(const compositor::Pointer& pointer, const calib::CameraModel& camera,
                          const Pose& world_from_camera) {
   toggle(pointer.number);
   if (pointer.space) hold_or_go_on();
   const bool pressed = pointer.left || pointer.right;
   const bool before = std::exchange(pressed_, pressed), begins = pressed && !before;
-  const double moved_x = pointer.place.x - std::exchange(last_x_, pointer.place.x);
+  const glm::dvec2 moved = pointer.place - std::exchange(last_, pointer.place);
   const auto seen = calib::direction_from_pixel(
       camera, {pointer.place.x * camera.width, pointer.place.y * camera.height});
   if (!pressed && pointer.wheel == 0) held_.reset();
@@ -112,11 +139,17 @@ void ObjectMouse::update(const compositor::Pointer& pointer, const calib::Camera
     const auto object = object_at(ray);
     if (!object) return;
     const auto floor = on_plane(*object, ray);
-    held_ = Held{*object, floor ? places_[*object].position_m - *floor : glm::dvec3(0)};
+    held_ = Held{*object, floor ? places_[*object].position_m - *floor : glm::dvec3(0),
+                 glm::distance(ray.origin, places_[*object].position_m)};
   }
   if (!held_) return;
-  if (pointer.left && !begins) drag(ray);
-  turn((pointer.right && !begins ? 2 * kPi * moved_x : 0) + kWheelTurn_rad * pointer.wheel);
+  const bool drags = pointer.left && !begins, turns = pointer.right && !begins;
+  if (drags && pointer.shift)
+    lift(-moved.y * camera.height / camera.focal_px.y * held_->distance_m);
+  else if (drags)
+    drag(ray);
+  turn((turns ? 2 * kPi * moved.x : 0) + kWheelTurn_rad * pointer.wheel);
+  if (turns) lean(-kPi * moved.y, world_from_camera.rotation * glm::dvec3(0, 0, -1));
 }
 
 }  // namespace penumbra::tools

@@ -17,9 +17,10 @@
 
 namespace penumbra::tools {
 
-/// The left button drags an object along the plane that it stands on, the right one and the wheel
-/// turn it about the plane's normal. Key N takes the scene's Nth object away and puts it back. The
-/// space bar holds all that plays or turns, and lets it go on.
+/// The left button drags an object along the plane that it stands on, with Shift up and down. The
+/// right one and the wheel turn it about the plane's normal; up and down, the right one leans it
+/// away from the camera and towards it. Key N takes the scene's Nth object away and puts it back.
+/// The space bar holds all that plays or turns, and lets it go on.
 /// threads: thread-bound
 class ObjectMouse {
  public:
@@ -39,11 +40,14 @@ class ObjectMouse {
   struct Held {
     std::size_t object;
     glm::dvec3 grip_m;  // from where it was taken hold of on its plane to its place
+    double distance_m;  // of it from the camera
   };
   std::optional<std::size_t> object_at(const Ray& ray) const;
   std::optional<glm::dvec3> on_plane(std::size_t object, const Ray& ray) const;
   void drag(const Ray& ray);
+  void lift(double by_m);
   void turn(double angle_rad);
+  void lean(double angle_rad, const glm::dvec3& towards);
   void put(std::size_t object);
   void toggle(int number);
   void hold_or_go_on();
@@ -57,7 +61,7 @@ class ObjectMouse {
   std::vector<char> visible_;  // by object
   std::optional<Held> held_;
   bool pressed_ = false;  // a button, at the last update
-  double last_x_ = 0;
+  glm::dvec2 last_{0};    // place of the pointer
 };
 
 }  // namespace penumbra::tools

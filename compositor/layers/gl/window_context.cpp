@@ -50,6 +50,8 @@ class WindowContext final : public GlContext {
     out.place /= glm::dvec2(std::max(width, 1), std::max(height, 1));
     out.left = glfwGetMouseButton(window_, GLFW_MOUSE_BUTTON_LEFT) == GLFW_PRESS;
     out.right = glfwGetMouseButton(window_, GLFW_MOUSE_BUTTON_RIGHT) == GLFW_PRESS;
+    for (const int key : {GLFW_KEY_LEFT_SHIFT, GLFW_KEY_RIGHT_SHIFT})
+      out.shift |= glfwGetKey(window_, key) == GLFW_PRESS;
     out.wheel = wheel_;
     out.number = number_;
     out.space = space_;
