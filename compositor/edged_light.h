@@ -2,6 +2,7 @@
 // threads: plain values
 #pragma once
 
+#include <glm/vec3.hpp>
 #include <span>
 
 #include "core/image.h"
@@ -17,6 +18,7 @@ struct EdgedLight {
   std::span<const float> cosine;  // by vertex, what arrives
   std::span<const float> open;    // with nothing in its way
   std::span<const float> lit;     // visible fraction; beyond 0..1 by the distance from an edge
+  glm::dvec3 direction{0};        // to the source's middle, world; 0: not told
 };
 
 }  // namespace penumbra::compositor

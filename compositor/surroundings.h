@@ -28,7 +28,7 @@ struct Surroundings {
 
   std::shared_ptr<const lighting::ReflectionMap> reflections{};  // null: nothing is mirrored
   std::vector<MirroredLight> lights{};
-  RadianceSh light{1};  // all of it, for what a normal map changes
+  RadianceSh light{1};  // beside them, for what a normal map changes
   /// Radiance that an emission of 1 has: of white paper in the light.
   float emission_unit = 1;
 };

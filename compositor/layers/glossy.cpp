@@ -519,7 +519,7 @@ void Glossy::set_material(const prt::Material& m, GLuint program) {
   set(program, "grazing_reflectance", m.specular);
 }
 
-void Glossy::set_scene(GLuint program, const Placed& placed) const {
+void Glossy::set_scene(GLuint program, const GlossyObject& o, const Placed& placed) const {
   const glm::mat4 world(placed.world_from_object.matrix());
   glUniformMatrix4fv(uniform(program, "world_from_object"), 1, GL_FALSE, glm::value_ptr(world));
   glUniform3f(uniform(program, "eye"), static_cast<float>(placed.eye.x),
@@ -544,6 +544,12 @@ void Glossy::set_scene(GLuint program, const Placed& placed) const {
                           static_cast<float>(std::sin(std::min(light.radius_rad, kPi / 2))));
     irradiances[i] = {light.irradiance.r, light.irradiance.g, light.irradiance.b};
   }
+  constexpr double kSameLight = .99999;  // cosine: both follow it as it moves
+  int edged = -1;
+  for (std::size_t i = 0; i < count; ++i)
+    if (glm::dot(o.edged_towards, surroundings_.lights[i].direction) > kSameLight)
+      edged = static_cast<int>(i);
+  glUniform1i(uniform(program, "edged_light"), edged);
   glUniform1i(uniform(program, "light_count"), static_cast<GLint>(count));
   glUniform4fv(uniform(program, "light_places"), Surroundings::kMaxLights,
                glm::value_ptr(places[0]));
@@ -567,7 +573,7 @@ void Glossy::begin_part(const GlossyObject& o, const GlossyObject::Part& part,
                         const UseProgram& use, const Placed& placed) {
   const prt::Material& m = o.surface->materials[part.material];
   const GLuint program = use(features_of(o, part));
-  set_scene(program, placed);
+  set_scene(program, o, placed);
   set_mirrored_floor(program, o, placed.world_from_floor);
   set_mirrored_objects(program, o);
   set_material(m, program);

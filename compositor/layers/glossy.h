@@ -41,6 +41,7 @@ struct GlossyObject {
   std::vector<Part> parts{};
   bool shows_backs = false;  // of some part
   std::size_t own_vertices = 0;
+  glm::dvec3 edged_towards{0};  // EdgedLight::direction
   // The floor that it mirrors.
   std::optional<prt::GroundGrid> floor_grid{};
   GlTexture floor{};
@@ -115,7 +116,7 @@ class Glossy {
   void bind(int unit, const prt::Texture& texture, bool srgb, GLuint program, const char* name);
   GLuint sampler_of(const prt::Texture& texture);
   void set_material(const prt::Material& material, GLuint program);
-  void set_scene(GLuint program, const Placed& placed) const;
+  void set_scene(GLuint program, const GlossyObject& object, const Placed& placed) const;
   void begin_part(const GlossyObject& object, const GlossyObject::Part& part, const UseProgram& use,
                   const Placed& placed);
   void draw_sorted(const GlossyObject& object, const UseProgram& use, const Placed& placed);

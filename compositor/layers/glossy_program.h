@@ -128,7 +128,7 @@ uniform float level, long_level, clearcoat_level;
 uniform sampler2D reflected;
 uniform vec3 irradiance_sh[9];
 const int kMaxLights = 4;
-uniform int light_count;
+uniform int light_count, edged_light;
 uniform vec4 light_places[4];
 uniform vec3 light_irradiances[4];
 out vec4 colour;
@@ -167,6 +167,28 @@ vec3 mirrored_lights(vec3 n, vec3 v, float n_dot_v, float alpha, vec3 f0, float 
   }
   return sum;
 }
+#if defined(NORMAL_MAP) || defined(DOUBLE_SIDED)
+// Irradiance/pi of the vertices' own surface and that of the edged light, turned to a normal on the
+// side of the surface that is seen: lights apart by their cosines, the rest by what the open
+// surroundings send either way.
+vec3 turned(vec3 of_edged, vec3 plain, vec3 facing, vec3 n) {
+  vec3 rest = light, sum = vec3(0);
+#ifdef LIGHTS
+  for (int i = 0; i < light_count; ++i) {
+    vec3 l = light_places[i].xyz, e = light_irradiances[i] * (fractions[i] / 3.14159265);
+    float on_plain = max(dot(plain, l), 0.0), now = max(dot(n, l), 0.0);
+    // What lies below the surface lights none of its bumps.
+    now *= clamp(10.0 * dot(facing, l), 0.0, 1.0);
+    bool is_edged = i == edged_light;
+    if (!is_edged) rest -= e * on_plain;
+    sum += is_edged && on_plain > 0.01 ? of_edged * (now / on_plain) : e * now;
+  }
+#endif
+  if (edged_light < 0) rest += of_edged;
+  return max(rest, 0.0) *
+             clamp(open_irradiance(n) / max(open_irradiance(plain), 1e-6), 0.0, 4.0) + sum;
+}
+#endif
 vec2 reflected_of_even(float n_dot_v, float rough) {
   return texture(reflected, (vec2(n_dot_v, rough) * 31.0 + 0.5) / 32.0).xy;
 }
@@ -307,7 +329,7 @@ void main() {
 #endif
 #if defined(NORMAL_MAP) || defined(DOUBLE_SIDED)
   // What the transfer knows is the light of the vertices' own normals.
-  diffuse_light *= clamp(open_irradiance(n) / max(open_irradiance(plain), 1e-6), 0.0, 4.0);
+  diffuse_light = turned(of_edged, plain, gl_FrontFacing ? plain : -plain, n);
 #endif
 #ifdef OCCLUSION_IN_ROUGHNESS
   occlusion += occlusion_strength * (t.r - 1.0);

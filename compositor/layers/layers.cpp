@@ -246,6 +246,7 @@ void Layers::set_light(int object, std::span<const float> relit, const EdgedLigh
     return;
   }
   o.changed |= o.edged.set(edged, o.albedo, o.fine_albedo, o.drawn_vertices, o.geometry);
+  if (o.glossy) o.glossy->edged_towards = edged ? edged->direction : glm::dvec3(0);
   if (o.drawn_vertices.fine()) return set_fine_light(o, relit, edged);
   bool changed = false;
   const std::size_t own = o.albedo.size(), all = o.colours.size();

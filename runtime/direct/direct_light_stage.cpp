@@ -513,7 +513,8 @@ std::optional<compositor::EdgedLight> DirectLightStage::edged_light(std::size_t 
       traced_, [&](const TracedLight& t) { return !t.edged[object].lit.empty(); });
   if (known == traced_.end()) return std::nullopt;
   const auto& [open, lit] = known->edged[object];
-  return compositor::EdgedLight{white_under(known->source), known->cosine[object], open, lit};
+  return compositor::EdgedLight{white_under(known->source), known->cosine[object], open, lit,
+                                known->source.direction};
 }
 
 void DirectLightStage::visible_fractions(std::size_t source, std::size_t object,

@@ -26,11 +26,13 @@ compositor::Surroundings MirroredSurroundings::surroundings_of(
     const lighting::LightEstimate& light) {
   compositor::Surroundings out;
   out.reflections = light.reflections ? light.reflections : from_harmonics(light.light);
+  out.light = lighting::whole_light(light);
   for (const std::size_t i : lighting::lights_apart(light.lights)) {
     const lighting::DistantLight& source = light.lights[i];
     out.lights.push_back({source.direction, source.radius.value(), source.irradiance()});
+    const RadianceSh own = lighting::project_distant_light(source, out.light.bands());
+    for (int n = 0; n < own.size(); ++n) out.light[n] += own[n] * -1.f;
   }
-  out.light = lighting::whole_light(light);
   out.emission_unit = emission_unit(light);
   return out;
 }

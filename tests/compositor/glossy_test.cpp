@@ -373,5 +373,79 @@ TEST_F(GlossyBall, ANormalMapTurnsTheDiffuseLight) {
   EXPECT_GT(std::sqrt(naive / count), .1);
 }
 
+// A sun's part turns by its cosines, and what faces away from it stays in the shade however its
+// bumps lean. As a factor of the open surroundings, sun and all, the shade glows.
+TEST_F(GlossyBall, ANormalMapLetsNoSunIntoTheShade) {
+  const dvec3 towards = glm::normalize(dvec3(1, .3, .6));
+  constexpr float kSky = .2f, kSun = 4;  // irradiance/pi
+  RadianceSh sky(3);
+  sky[0] = Rgb{kSky, kSky, kSky} * static_cast<float>(std::sqrt(4 * kPi));
+  Surroundings around{reflections_of(even_map({0, 0, 0})), {}, sky};
+  around.lights.push_back({towards, .0047, Rgb{1, 1, 1} * static_cast<float>(kSun * kPi)});
+  prt::Material m{.metallic = 0, .roughness = 1, .specular = 0};
+  m.normal_map = {.picture = picture_of(Image<prt::Rgba8>(1, 1, {218, 128, 218, 255}))};
+  add(m, sky, around);
+  const std::size_t stride = object_.transfer.stride;
+  std::vector<float> relit(3 * stride, kSky);
+  for (std::size_t v = 0; v < object_.mesh.normals.size(); ++v)
+    for (std::size_t c = 0; c < 3; ++c)
+      relit[c * stride + v] +=
+          kSun * float(std::max(0., glm::dot(dvec3(object_.mesh.normals[v]), towards)));
+  compositor_->set_light(handle_, relit, {});
+  int lit = 0, shaded = 0;
+  over_ball(drawn(), [&](const dvec3& n, const dvec3&, const Rgb& c) {
+    const double facing = glm::dot(n, towards);
+    const dvec3 leaning = glm::normalize(n + glm::normalize(glm::cross(dvec3(0, 1, 0), n)));
+    if (facing > .3 && std::abs(n.y) < .9) {
+      const double truth = kSky + kSun * std::max(0., glm::dot(leaning, towards));
+      EXPECT_NEAR(c.g, truth, .03 * truth + .03);
+      ++lit;
+    } else if (facing < -.1) {
+      EXPECT_NEAR(c.g, kSky, .02);
+      shaded += glm::dot(leaning, towards) > .1;
+    }
+  });
+  EXPECT_GT(lit, 100);
+  EXPECT_GT(shaded, 20) << "bumps that lean to the sun, on the side away from it";
+}
+
+// The side of a sheet that its transfer does not know is lit by the sun that shines on it.
+TEST_F(GlossyBall, BothSidesOfASheetHaveTheirOwnSun) {
+  prt::Mesh sheet;
+  for (const glm::vec2 c : {glm::vec2(-.4f, -.4f), {.4f, -.4f}, {.4f, .4f}, {-.4f, .4f}})
+    sheet.positions.emplace_back(c.x, .4f + c.y, 0);
+  // It is seen from behind.
+  const dvec3 eye = test::scene_camera().world_from_camera.translation;
+  const float away = eye.z > 0 ? -1.f : 1.f;
+  sheet.normals.assign(4, {0, 0, away});
+  sheet.albedo.assign(4, {1, 1, 1});
+  sheet.triangles = {{0, 1, 2}, {0, 2, 3}};
+  if (away < 0)
+    for (auto& t : sheet.triangles) std::swap(t[1], t[2]);
+  object_ = {};
+  object_.mesh = sheet;
+  object_.transfer = prt::Transfer(3, 1, 4);
+  constexpr float kSky = .2f, kSun = 4;
+  RadianceSh sky(3);
+  sky[0] = Rgb{kSky, kSky, kSky} * static_cast<float>(std::sqrt(4 * kPi));
+  for (const double side : {1., -1.}) {
+    SetUp();
+    object_ = {};
+    object_.mesh = sheet;
+    object_.transfer = prt::Transfer(3, 1, 4);
+    const dvec3 towards = glm::normalize(dvec3(.2, .3, double(away) * side));
+    Surroundings around{reflections_of(even_map({0, 0, 0})), {}, sky};
+    around.lights.push_back({towards, .0047, Rgb{1, 1, 1} * static_cast<float>(kSun * kPi)});
+    add({.metallic = 0, .roughness = 1, .double_sided = true, .specular = 0}, sky, around);
+    const double front = std::max(0., glm::dot(dvec3(sheet.normals[0]), towards));
+    std::vector<float> relit(3 * object_.transfer.stride, static_cast<float>(kSky + kSun * front));
+    compositor_->set_light(handle_, relit, {});
+    const double back = std::max(0., -glm::dot(dvec3(sheet.normals[0]), towards));
+    EXPECT_NEAR(drawn().at(kSceneWidth / 2, kSceneHeight / 2).g, kSky + kSun * back,
+                .03 * (kSky + kSun * back))
+        << side;
+  }
+}
+
 }  // namespace
 }  // namespace penumbra::compositor

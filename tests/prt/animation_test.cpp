@@ -240,6 +240,60 @@ TEST(CharacterImport, AMirroredNodeShowsItsOutside) {
   EXPECT_GT(glm::cross(mesh.positions[t[1]] - a, mesh.positions[t[2]] - a).z, .5f);
 }
 
+// Its matrix comes apart into another mirror and a turn: with the clip's own keys it would stand on
+// its head.
+TEST(CharacterImport, AMirroredNodeThatMovesItselfStandsUpright) {
+  for (const auto& [scale, at] : {std::pair{"[-1,1,1]", glm::vec3(1, 0, 0)},
+                                  {"[1,1,-1]", glm::vec3(3, 0, 0)},
+                                  {"[1,1,1]", glm::vec3(3, 0, 0)}}) {
+    const auto c = moved_by_a_clip(one_triangle(), fmt::format(R"({{"mesh":0,"scale":{}}})", scale),
+                                   kOfPositions);
+    ASSERT_TRUE(c) << c.error().detail;
+    const Mesh mesh = mesh_at(*c, 0, .5);
+    EXPECT_LT(glm::distance(mesh.positions[1], at), 1e-4f) << scale;
+    EXPECT_LT(glm::distance(mesh.positions[2], {2, 1, 0}), 1e-4f) << scale;
+  }
+}
+
+// Assimp takes a white material for none.
+TEST(CharacterImport, WhiteIsWhite) {
+  const char* const with_material =
+      R"({"primitives":[{"attributes":{"POSITION":0},"material":0}]})";
+  const auto white =
+      moved_by_a_clip(one_triangle(), R"({"mesh":0})", with_material,
+                      R"(,"materials":[{"pbrMetallicRoughness":{"metallicFactor":0}}])");
+  ASSERT_TRUE(white) << white.error().detail;
+  EXPECT_EQ(white->albedo[0], (Rgb{1, 1, 1}));
+  const auto none = moved_by_a_clip(one_triangle(), R"({"mesh":0})", kOfPositions);
+  ASSERT_TRUE(none) << none.error().detail;
+  EXPECT_EQ(none->albedo[0], kGrey);
+}
+
+// A picture that is laid otherwise than once over the first coordinates needs its material.
+TEST(CharacterImport, ATransformedPictureKeepsItsMaterial) {
+  // A PNG of one red pixel.
+  const char* const picture =
+      "data:image/"
+      "png;base64,iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAIAAACQd1PeAAAADElEQVR4nGP4z8AAAAMBAQDJ/"
+      "pLvAAAAAElFTkSuQmCC";
+  for (const auto& [how, kept] :
+       {std::pair{"", false},
+        {R"(,"extensions":{"KHR_texture_transform":{"offset":[0.5,0]}})", true},
+        {R"(,"texCoord":1)", true}}) {
+    test::GltfBuffer b = one_triangle();
+    b.floats({0, 0, 1, 0, 0, 1}, "VEC2", 3);
+    const auto c = moved_by_a_clip(
+        b, R"({"mesh":0})",
+        R"({"primitives":[{"attributes":{"POSITION":0,"TEXCOORD_0":1,"TEXCOORD_1":1},"material":0}]})",
+        fmt::format(
+            R"(,"images":[{{"uri":"{}"}}],"textures":[{{"source":0}}],"materials":[
+               {{"pbrMetallicRoughness":{{"metallicFactor":0,"baseColorTexture":{{"index":0{}}}}}}}])",
+            picture, how));
+    ASSERT_TRUE(c) << c.error().detail;
+    EXPECT_EQ(c->surface != nullptr, kept) << how;
+  }
+}
+
 TEST(CharacterImport, WhatIsDamagedIsToldInOneLine) {
   const std::string node = R"({"mesh":0})";
   const auto told = [&](const Result<Character>& c) {

@@ -157,7 +157,7 @@ class Importer {
   }
 
   Result<void> add_vertices(const aiMesh& in) {
-    const Rgb albedo = albedo_of(scene_, in, fallback_);
+    const Rgb albedo = colour_of(in);
     const auto pixels = texture_of(in);
     std::optional<CoarseTexture> texture;
     if (pixels) texture.emplace(*pixels, in.mNumVertices);
@@ -191,6 +191,14 @@ class Importer {
     return {};
   }
 
+  // Assimp takes a white material of a glTF file for none.
+  Rgb colour_of(const aiMesh& in) const {
+    if (of_file_ == 0) return albedo_of(scene_, in, fallback_);
+    if (in.mMaterialIndex >= of_file_) return fallback_;
+    const Material& m = materials_[in.mMaterialIndex];
+    return clamped_albedo(m.base_colour, m.base_colour);
+  }
+
   // Before the mesh's vertices are added.
   void add_surface(const aiMesh& in) {
     if (materials_.empty()) return;
@@ -213,7 +221,14 @@ class Importer {
       }
   }
 
-  // One base colour map, or none, is drawn without.
+  // One that is laid as Character::texture is.
+  static bool is_laid_plainly(const Texture& t) {
+    using enum Texture::Wrap;
+    return t.set == 0 && t.transform == Texture{}.transform && t.wrap_s == kRepeat &&
+           t.wrap_t == kRepeat && !t.nearest;
+  }
+
+  // One base colour map that is laid plainly, or none, is drawn without.
   void keep_surface() {
     if (surface_.material.empty()) return;
     bool asked = !one_texture_;
@@ -224,7 +239,7 @@ class Importer {
             fmt::format("material \"{}\": its normal map is left out, as it moves", m.name));
       m.normal_map = {};
       Material beyond = m;
-      beyond.base_colour_map = {};
+      if (is_laid_plainly(beyond.base_colour_map)) beyond.base_colour_map = {};
       asked |= !gltf::is_plain(beyond);
     }
     if (!asked) return;

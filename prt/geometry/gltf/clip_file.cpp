@@ -47,6 +47,7 @@ class ClipFile {
   Result<std::string> write() {
     PENUMBRA_TRY(check_nodes());
     PENUMBRA_TRY(check_animations());
+    say_rest_of_moved_nodes();
     PENUMBRA_TRY(unpack_views());
     PENUMBRA_TRY(widen_attributes());
     PENUMBRA_TRY(give_skins_their_matrices());
@@ -139,6 +140,21 @@ class ClipFile {
       }
     }
     return {};
+  }
+
+  // Of a node that moves, what the file does not say is none. Assimp would take it from the matrix,
+  // where a mirror comes apart into another mirror and a turn.
+  void say_rest_of_moved_nodes() {
+    for (std::size_t a = 0; a < document_.count("animations"); ++a)
+      for (const Json& channel : document_.at("animations", a)["channels"]) {
+        const Json& target = channel["target"];
+        if (!target.contains("node")) continue;
+        Json& node = json_["nodes"][target["node"].get<std::size_t>()];
+        if (node.contains("matrix")) continue;
+        node.emplace("translation", Json{0, 0, 0});
+        node.emplace("rotation", Json{0, 0, 0, 1});
+        node.emplace("scale", Json{1, 1, 1});
+      }
   }
 
   std::size_t add_view(std::span<const unsigned char> bytes) {
