@@ -35,6 +35,7 @@ pkg_check_modules(PipeWire REQUIRED IMPORTED_TARGET libpipewire-0.3)
 # Without its -D_REENTRANT, which a precompiled header does not have.
 set_property(TARGET PkgConfig::PipeWire PROPERTY INTERFACE_COMPILE_OPTIONS)
 pkg_check_modules(GLES REQUIRED IMPORTED_TARGET egl glesv2)
+pkg_check_modules(GLX REQUIRED IMPORTED_TARGET glx x11)  # runtimes of headsets without EGL
 # With the definitions that the library was built with: without them its Client is larger than its header says.
 pkg_check_modules(Httplib REQUIRED IMPORTED_TARGET cpp-httplib)
 # The light layer of OpenXR and the headset.

@@ -108,17 +108,9 @@ void SessionThread::pause(const std::stop_token& stop, Seconds time) {
 }
 
 void SessionThread::run(const std::stop_token& stop, std::promise<Result<void>>& ready) {
-  std::unique_ptr<HeadsetGraphics> graphics;
-  const auto begin = [&]() -> Result<void> {
-    PENUMBRA_ASSIGN(made, make_egl_graphics());
-    graphics = std::move(made);
-    PENUMBRA_ASSIGN(renderer, PictureRenderer::make());
-    renderer_ = std::move(renderer);
-    return XrRuntime::check_extensions(*graphics);
-  };
   Result<void> begun;
   try {
-    begun = begin();
+    begun = prepare();
   } catch (const std::exception& e) {
     begun = fail(ErrorCode::kUnavailable, "headset", reason_of(e));
   }
@@ -126,7 +118,8 @@ void SessionThread::run(const std::stop_token& stop, std::promise<Result<void>>&
   while (begun && !stop.stop_requested()) {
     Result<void> lived;
     try {
-      lived = live(stop, *graphics);
+      lived = prepare();
+      if (lived) lived = live(stop);
     } catch (const std::exception& e) {
       lived = fail(ErrorCode::kUnavailable, "headset", reason_of(e));
     }
@@ -136,12 +129,25 @@ void SessionThread::run(const std::stop_token& stop, std::promise<Result<void>>&
     pause(stop, kBetweenTries);
   }
   renderer_.reset();  // before its context
+  graphics_.reset();
+}
+
+// Also for another runtime that has come.
+Result<void> SessionThread::prepare() {
+  if (graphics_ && renderer_ && !graphics_->is_lost() && XrRuntime::takes(*graphics_)) return {};
+  renderer_.reset();  // before its context
+  graphics_.reset();
+  PENUMBRA_ASSIGN(graphics, XrRuntime::make_graphics());
+  graphics_ = std::move(graphics);
+  PENUMBRA_ASSIGN(renderer, PictureRenderer::make());
+  renderer_ = std::move(renderer);
+  return {};
 }
 
 // From the finding of a runtime to its end.
-Result<void> SessionThread::live(const std::stop_token& stop, HeadsetGraphics& graphics) {
-  PENUMBRA_ASSIGN(runtime, XrRuntime::open(options_.application, graphics));
-  PENUMBRA_ASSIGN(session, HeadSession::open(*runtime, graphics));
+Result<void> SessionThread::live(const std::stop_token& stop) {
+  PENUMBRA_ASSIGN(runtime, XrRuntime::open(options_.application, *graphics_));
+  PENUMBRA_ASSIGN(session, HeadSession::open(*runtime, *graphics_));
   {
     const std::scoped_lock lock(mutex_);
     state_.runtime = runtime->name(), state_.headset = runtime->headset();

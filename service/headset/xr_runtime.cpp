@@ -7,6 +7,7 @@
 #include <cmath>
 #include <cstdio>
 #include <cstring>
+#include <utility>
 #include <vector>
 
 namespace penumbra::service {
@@ -31,11 +32,6 @@ std::vector<const char*> needed_extensions(const HeadsetGraphics& graphics) {
   std::vector<const char*> out = graphics.extensions();
   out.push_back(kClock);
   return out;
-}
-
-const char* purpose(const std::string& extension) {
-  if (extension == kClock) return "so it does not tell which time its poses are of";
-  return "so it takes no picture from EGL; pictures from GLX or Vulkan are not built in";
 }
 
 // What a text of a runtime may do to a log ends at its array.
@@ -78,27 +74,51 @@ TimestampNs monotonic_now() {
   return {std::int64_t{t.tv_sec} * kSecond_ns + t.tv_nsec};
 }
 
-Result<void> XrRuntime::check_extensions(const HeadsetGraphics& graphics) {
+// Nothing where no runtime answers.
+std::optional<std::vector<std::string>> XrRuntime::offered_extensions() {
   std::uint32_t count = 0;
-  if (XR_FAILED(xrEnumerateInstanceExtensionProperties(nullptr, 0, &count, nullptr))) return {};
+  if (XR_FAILED(xrEnumerateInstanceExtensionProperties(nullptr, 0, &count, nullptr)))
+    return std::nullopt;
   constexpr std::uint32_t kMost = 4096;
   count = std::min(count, kMost);
   XrExtensionProperties empty{};
   empty.type = XR_TYPE_EXTENSION_PROPERTIES;
   std::vector<XrExtensionProperties> all(count, empty);
   if (XR_FAILED(xrEnumerateInstanceExtensionProperties(nullptr, count, &count, all.data())))
-    return {};
-  for (const std::string needed : needed_extensions(graphics))
-    if (std::ranges::none_of(all,
-                             [&](const auto& one) { return text_of(one.extensionName) == needed; }))
-      return fail(ErrorCode::kUnavailable, "headset",
-                  fmt::format("the OpenXR runtime does not offer {}, {}", needed, purpose(needed)));
-  return {};
+    return std::nullopt;
+  std::vector<std::string> out;
+  for (const XrExtensionProperties& one : all) out.push_back(text_of(one.extensionName));
+  return out;
+}
+
+bool XrRuntime::takes(const std::vector<const char*>& needed) {
+  const auto offered = offered_extensions();
+  return !offered || std::ranges::all_of(needed, [&](const char* name) {
+    return std::ranges::find(*offered, name) != offered->end();
+  });
+}
+
+bool XrRuntime::takes(const HeadsetGraphics& graphics) {
+  return takes(needed_extensions(graphics));
+}
+
+Result<std::unique_ptr<HeadsetGraphics>> XrRuntime::make_graphics() {
+  if (!takes({kClock}))
+    return fail(ErrorCode::kUnavailable, "headset",
+                fmt::format("the OpenXR runtime does not offer {}, so it does not tell which time "
+                            "its poses are of",
+                            kClock));
+  if (takes(egl_extensions())) return make_egl_graphics();
+  if (takes(glx_extensions())) return make_glx_graphics();
+  return fail(
+      ErrorCode::kUnavailable, "headset",
+      fmt::format("the OpenXR runtime offers neither {} with {} nor {}; pictures for Vulkan "
+                  "are not built in",
+                  egl_extensions()[0], egl_extensions()[1], glx_extensions()[0]));
 }
 
 Result<std::unique_ptr<XrRuntime>> XrRuntime::open(const std::string& application,
                                                    HeadsetGraphics& graphics) {
-  PENUMBRA_TRY(check_extensions(graphics));
   const auto extensions = needed_extensions(graphics);
   XrInstanceCreateInfo info{};
   info.type = XR_TYPE_INSTANCE_CREATE_INFO;

@@ -85,7 +85,7 @@ TEST_F(HeadsetOutput, ARuntimeWithoutWhatIsNeededIsRefusedByName) {
   PENUMBRA_NEED_GL(need);
   headset_.reset();
   for (const auto& [knob, extension] :
-       {std::pair("egl", "XR_MNDX_egl_enable"), std::pair("clock", "XR_KHR_convert_timespec")}) {
+       {std::pair("egl glx", "XR_MNDX_egl_enable"), {"clock", "XR_KHR_convert_timespec"}}) {
     fake_.turn("REFUSE", knob);
     const auto refused = start();
     ASSERT_FALSE(refused) << knob;

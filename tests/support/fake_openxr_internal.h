@@ -4,11 +4,16 @@
 
 #include <EGL/egl.h>
 #include <GLES3/gl32.h>
+#include <X11/Xlib.h>
 #include <time.h>
+// After Xlib.h, which it needs.
+#include <GL/glx.h>
 
 #define XR_USE_TIMESPEC
 #define XR_USE_PLATFORM_EGL
 #define XR_USE_GRAPHICS_API_OPENGL_ES
+#define XR_USE_PLATFORM_XLIB
+#define XR_USE_GRAPHICS_API_OPENGL
 #include <openxr/openxr.h>
 #include <openxr/openxr_platform.h>
 
@@ -56,7 +61,8 @@ struct Swapchain {
 };
 
 struct Session {
-  bool lives = false, has_graphics = false, asked_for_graphics = false;
+  bool lives = false, has_graphics = false, has_glx = false;
+  bool asked_for_gles = false, asked_for_gl = false;
   bool begun = false, lost = false, asked_to_exit = false, attached = false, synced = false;
   XrSessionState state = XR_SESSION_STATE_UNKNOWN;
   std::int64_t predicted_ns = 0, next_frame_ns = 0;
@@ -89,6 +95,8 @@ XrResult fault(const std::string& what, XrResult error = XR_ERROR_VALIDATION_FAI
 XrResult alive(XrSession of);
 bool is_pose(const XrPosef& pose);
 XrViewConfigurationType view_type();
+/// Whether a context of either kind is current.
+bool has_context();
 /// What a session's end or an instance's end leaves.
 void end_session();
 

@@ -54,6 +54,10 @@ XrResult fault(const std::string& what, XrResult error) {
   return error;
 }
 
+bool has_context() {
+  return eglGetCurrentContext() != EGL_NO_CONTEXT || glXGetCurrentContext();
+}
+
 XrViewConfigurationType view_type() {
   return knobs.views == 1 ? XR_VIEW_CONFIGURATION_TYPE_PRIMARY_MONO
                           : XR_VIEW_CONFIGURATION_TYPE_PRIMARY_STEREO;
@@ -61,14 +65,15 @@ XrViewConfigurationType view_type() {
 
 namespace {
 
-constexpr std::array<const char*, 4> kExtensions = {
+constexpr std::array<const char*, 5> kExtensions = {
     XR_KHR_CONVERT_TIMESPEC_TIME_EXTENSION_NAME, XR_MNDX_EGL_ENABLE_EXTENSION_NAME,
-    XR_KHR_OPENGL_ES_ENABLE_EXTENSION_NAME, "XR_MND_headless"};
+    XR_KHR_OPENGL_ES_ENABLE_EXTENSION_NAME, XR_KHR_OPENGL_ENABLE_EXTENSION_NAME, "XR_MND_headless"};
 
 std::vector<std::string> offered_extensions(const Knobs& knobs) {
   std::vector<std::string> out(kExtensions.begin(), kExtensions.end());
   if (knobs.refuses("clock")) std::erase(out, kExtensions[0]);
   if (knobs.refuses("egl")) std::erase(out, kExtensions[1]);
+  if (knobs.refuses("glx")) std::erase(out, kExtensions[3]);
   return out;
 }
 
@@ -201,7 +206,18 @@ XRAPI_ATTR XrResult XRAPI_CALL fake_gles_requirements(XrInstance, XrSystemId,
     return fault("xrGetOpenGLESGraphicsRequirementsKHR: type");
   out->minApiVersionSupported = XR_MAKE_VERSION(3, 1, 0);
   out->maxApiVersionSupported = XR_MAKE_VERSION(3, 2, 0);
-  session.asked_for_graphics = true;
+  session.asked_for_gles = true;
+  return XR_SUCCESS;
+}
+
+XRAPI_ATTR XrResult XRAPI_CALL fake_gl_requirements(XrInstance, XrSystemId,
+                                                    XrGraphicsRequirementsOpenGLKHR* out) {
+  const std::lock_guard lock(mutex);
+  if (!has_type(out, XR_TYPE_GRAPHICS_REQUIREMENTS_OPENGL_KHR))
+    return fault("xrGetOpenGLGraphicsRequirementsKHR: type");
+  out->minApiVersionSupported = XR_MAKE_VERSION(4, 3, 0);
+  out->maxApiVersionSupported = XR_MAKE_VERSION(4, 6, 0);
+  session.asked_for_gl = true;
   return XR_SUCCESS;
 }
 
@@ -237,6 +253,7 @@ Functions all_functions() {
                    {"xrGetViewConfigurationProperties", any(fake_get_view_configuration)},
                    {"xrEnumerateViewConfigurationViews", any(fake_enumerate_views)},
                    {"xrGetOpenGLESGraphicsRequirementsKHR", any(fake_gles_requirements)},
+                   {"xrGetOpenGLGraphicsRequirementsKHR", any(fake_gl_requirements)},
                    {"xrConvertTimespecTimeToTimeKHR", any(fake_time_of_timespec)},
                    {"xrConvertTimeToTimespecTimeKHR", any(fake_timespec_of_time)}};
   for (const Functions& more : {space_functions(), session_functions(), swapchain_functions()})

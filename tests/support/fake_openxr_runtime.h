@@ -19,7 +19,8 @@
 //   PENUMBRA_FAKE_XR_PUT_DOWN    "a b": from frame a to frame b nobody wears the headset
 //   PENUMBRA_FAKE_XR_KEEP        set: keeps the pictures of submitted views
 //   PENUMBRA_FAKE_XR_ALPHA       set: blends by alpha, too
-//   PENUMBRA_FAKE_XR_REFUSE      words of: instance system stage clock egl tracking session ready
+//   PENUMBRA_FAKE_XR_REFUSE      words of: instance system stage clock egl glx tracking session
+//                                ready
 struct FakeOpenXrState {
   std::atomic<int> instances = 0, sessions = 0, spaces = 0, swapchains = 0;  // that live
   std::atomic<int> instances_made = 0;

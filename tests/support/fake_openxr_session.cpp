@@ -37,16 +37,22 @@ XRAPI_ATTR XrResult XRAPI_CALL fake_create_session(XrInstance, const XrSessionCr
   if (knobs.refuses("session")) return XR_ERROR_RUNTIME_FAILURE;
   if (!has_type(info, XR_TYPE_SESSION_CREATE_INFO)) return fault("xrCreateSession: type");
   if (info->systemId != kSystem) return fault("xrCreateSession: system");
-  const auto* binding = static_cast<const XrGraphicsBindingEGLMNDX*>(info->next);
-  const bool graphics = binding && binding->type == XR_TYPE_GRAPHICS_BINDING_EGL_MNDX;
-  if (graphics && !session.asked_for_graphics)
+  const auto* egl = static_cast<const XrGraphicsBindingEGLMNDX*>(info->next);
+  if (egl && egl->type != XR_TYPE_GRAPHICS_BINDING_EGL_MNDX) egl = nullptr;
+  const auto* glx = static_cast<const XrGraphicsBindingOpenGLXlibKHR*>(info->next);
+  if (glx && glx->type != XR_TYPE_GRAPHICS_BINDING_OPENGL_XLIB_KHR) glx = nullptr;
+  if ((egl && !session.asked_for_gles) || (glx && !session.asked_for_gl))
     return fault("xrCreateSession: graphics requirements",
                  XR_ERROR_GRAPHICS_REQUIREMENTS_CALL_MISSING);
-  if (graphics && (binding->context == EGL_NO_CONTEXT || !binding->getProcAddress ||
-                   binding->context != eglGetCurrentContext()))
+  if (egl && (egl->context == EGL_NO_CONTEXT || !egl->getProcAddress ||
+              egl->context != eglGetCurrentContext()))
     return fault("xrCreateSession: context", XR_ERROR_GRAPHICS_DEVICE_INVALID);
+  if (glx && (!glx->xDisplay || !glx->glxFBConfig || !glx->visualid || !glx->glxDrawable ||
+              !glx->glxContext || glx->glxContext != glXGetCurrentContext() ||
+              glx->xDisplay != glXGetCurrentDisplay()))
+    return fault("xrCreateSession: GLX context", XR_ERROR_GRAPHICS_DEVICE_INVALID);
   session = Session{};
-  session.lives = true, session.has_graphics = graphics;
+  session.lives = true, session.has_graphics = egl || glx, session.has_glx = glx;
   state.sessions = 1;
   session.events = {XR_SESSION_STATE_IDLE};
   if (!knobs.refuses("ready")) session.events.push_back(XR_SESSION_STATE_READY);

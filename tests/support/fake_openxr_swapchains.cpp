@@ -33,7 +33,7 @@ XRAPI_ATTR XrResult XRAPI_CALL fake_create_swapchain(XrSession of,
   made.info = *info;
   made.images = {1, 2, 3};
   if (session.has_graphics) {
-    if (eglGetCurrentContext() == EGL_NO_CONTEXT)
+    if (!has_context())
       return fault("xrCreateSwapchain: no current context", XR_ERROR_RUNTIME_FAILURE);
     glGenTextures(static_cast<GLsizei>(made.images.size()), made.images.data());
     for (const GLuint image : made.images) {
@@ -50,7 +50,7 @@ XRAPI_ATTR XrResult XRAPI_CALL fake_create_swapchain(XrSession of,
 }
 
 void delete_textures(const Swapchain& one) {
-  if (session.has_graphics && eglGetCurrentContext() != EGL_NO_CONTEXT)
+  if (session.has_graphics && has_context())
     glDeleteTextures(static_cast<GLsizei>(one.images.size()), one.images.data());
 }
 
@@ -76,10 +76,12 @@ XRAPI_ATTR XrResult XRAPI_CALL fake_enumerate_images(XrSwapchain swapchain, std:
   *count = static_cast<std::uint32_t>(images.size());
   if (capacity == 0) return XR_SUCCESS;
   if (capacity < images.size()) return XR_ERROR_SIZE_INSUFFICIENT;
+  // Laid out alike for both kinds.
   auto* const to = reinterpret_cast<XrSwapchainImageOpenGLESKHR*>(out);
+  const XrStructureType wanted =
+      session.has_glx ? XR_TYPE_SWAPCHAIN_IMAGE_OPENGL_KHR : XR_TYPE_SWAPCHAIN_IMAGE_OPENGL_ES_KHR;
   for (std::size_t i = 0; i < images.size(); ++i) {
-    if (to[i].type != XR_TYPE_SWAPCHAIN_IMAGE_OPENGL_ES_KHR)
-      return fault("xrEnumerateSwapchainImages: type");
+    if (to[i].type != wanted) return fault("xrEnumerateSwapchainImages: type");
     to[i].image = images[i];
   }
   return XR_SUCCESS;

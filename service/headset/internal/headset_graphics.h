@@ -18,6 +18,8 @@ class HeadsetGraphics {
 
   /// Of the runtime, without which it cannot take this kind of graphics.
   virtual std::vector<const char*> extensions() const = 0;
+  /// The system has taken the graphics away: others have to be made.
+  virtual bool is_lost() const { return false; }
   /// Asks the runtime what it needs, as OpenXR demands before a session is made.
   /// errors: kUnavailable (another version of the graphics)
   virtual Result<void> check_requirements(XrInstance instance, XrSystemId system) = 0;
@@ -28,8 +30,13 @@ class HeadsetGraphics {
   virtual Result<std::vector<unsigned>> images(XrSwapchain swapchain) const = 0;
 };
 
+std::vector<const char*> egl_extensions();
+std::vector<const char*> glx_extensions();
 /// OpenGL ES on a surfaceless EGL context, which is current on the calling thread from then on.
 /// errors: kUnavailable (no OpenGL ES 3.1)
 Result<std::unique_ptr<HeadsetGraphics>> make_egl_graphics();
+/// OpenGL on a GLX context of the X display that DISPLAY names, current as well.
+/// errors: kUnavailable (no X display, no OpenGL 4.5)
+Result<std::unique_ptr<HeadsetGraphics>> make_glx_graphics();
 
 }  // namespace penumbra::service

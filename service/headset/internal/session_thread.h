@@ -38,7 +38,8 @@ class SessionThread {
   static constexpr std::size_t kHead = 2;  // after the two hands
 
  private:
-  Result<void> live(const std::stop_token& stop, HeadsetGraphics& graphics);
+  Result<void> prepare();
+  Result<void> live(const std::stop_token& stop);
   Result<void> live_with(const std::stop_token& stop, HeadSession& session, XrRuntime& runtime);
   Result<void> frame(HeadSession& session, XrRuntime& runtime);
   Result<void> sample_poses(HeadSession& session, XrRuntime& runtime);
@@ -70,7 +71,8 @@ class SessionThread {
   std::set<std::string> refusals_;  // that were told
 
   // Of the thread alone.
-  std::unique_ptr<PictureRenderer> renderer_;
+  std::unique_ptr<HeadsetGraphics> graphics_;
+  std::unique_ptr<PictureRenderer> renderer_;            // in the context of the graphics
   std::vector<XrCompositionLayerProjectionView> views_;  // that show the last picture
   std::optional<EyePair> just_drawn_;
   std::uint64_t sessions_ = 0;

@@ -3,7 +3,9 @@
 #pragma once
 
 #include <memory>
+#include <optional>
 #include <string>
+#include <vector>
 
 #include "core/pose.h"
 #include "core/result.h"
@@ -26,9 +28,12 @@ class XrRuntime {
   /// errors: kUnavailable (no runtime, no headset, an extension that it lacks)
   static Result<std::unique_ptr<XrRuntime>> open(const std::string& application,
                                                  HeadsetGraphics& graphics);
-  /// Whether a runtime that is there now has all that is needed; a missing runtime is no error.
-  /// errors: kUnavailable, naming the extension
-  static Result<void> check_extensions(const HeadsetGraphics& graphics);
+  /// Whether a runtime that is there now takes pictures of these graphics, and tells times. True
+  /// where there is none.
+  static bool takes(const HeadsetGraphics& graphics);
+  /// Of the kind that a runtime that is there now takes: EGL's if it can.
+  /// errors: kUnavailable (what it lacks, by name), as make_egl_graphics and make_glx_graphics
+  static Result<std::unique_ptr<HeadsetGraphics>> make_graphics();
   ~XrRuntime();
   XrRuntime(const XrRuntime&) = delete;
   XrRuntime& operator=(const XrRuntime&) = delete;
@@ -44,6 +49,8 @@ class XrRuntime {
 
  private:
   XrRuntime() = default;
+  static std::optional<std::vector<std::string>> offered_extensions();
+  static bool takes(const std::vector<const char*>& extensions);
   Result<void> find_functions();
   Result<void> find_headset();
 
