@@ -202,15 +202,17 @@ class Service {
   OutputSet outputs_;
   std::shared_ptr<Headset> headset_;
   RigSource rig_;
+  int reloads_ = 0;  // so far; numbered, no answer is held back as said already
   std::mutex scenes_mutex_;
-  runtime::Scene shown_;      // what the pipeline was last given; guarded by scenes_mutex_
-  runtime::Scene scene_now_;  // as its file was last read
+  runtime::Scene shown_;  // what the pipeline was last given; guarded by scenes_mutex_
 };
 
 void Service::reload() {
+  ++reloads_;
   notify_system("RELOADING=1");
   if (const auto done = reload_rig(); !done)
-    log_warning("reload: the rig stays as it is: {}: {}", done.error().where, done.error().detail);
+    log_warning("reload {}: the rig stays as it is: {}: {}", reloads_, done.error().where,
+                done.error().detail);
   reload_scene();
   notify_system("READY=1");
 }
@@ -227,7 +229,7 @@ Result<void> Service::reload_rig() {
   if (now.max_shadow_error != error_limit_) {
     PENUMBRA_TRY(objects_.set_max_shadow_error(now.max_shadow_error));
     error_limit_ = now.max_shadow_error;
-    log_info("reload: light.max_shadow_error is {:g}", error_limit_);
+    log_info("reload {}: light.max_shadow_error is {:g}", reloads_, error_limit_);
   }
   outputs_.change(targets_of(now));
   std::erase_if(keys, [](const std::string& key) {
@@ -237,28 +239,27 @@ Result<void> Service::reload_rig() {
            });
   });
   if (!keys.empty())
-    log_warning("reload: {} of {} counts from the next start", fmt::join(keys, ", "),
+    log_warning("reload {}: {} of {} counts from the next start", reloads_, fmt::join(keys, ", "),
                 file_.path.string());
   return {};
 }
 
 // Of what the scene file says now.
 void Service::reload_scene() {
-  if (!config_.scene) return log_info("reload: the studio's own scene has no file");
-  if (!objects_.follows_file())
-    return log_info("reload: another scene was asked for: {} is not looked at", *config_.scene);
-  const auto now = runtime::read_scene(*config_.scene);
+  const SceneFile file = objects_.file();
+  if (file.path.empty()) return log_info("reload {}: the studio's own scene has no file", reloads_);
+  const auto now = runtime::read_scene(file.path);
   if (now) {
     const runtime::Scene shown = [&] {
       const std::scoped_lock lock(scenes_mutex_);
       return shown_;
     }();
-    const bool bakes = apply_scene(shown, scene_now_, *now, objects_);
-    objects_.follow_file(scene_now_, *now, bakes);
-    scene_now_ = *now;
-    log_info("reload: {} is read anew", *config_.scene);
+    const bool bakes = apply_scene(shown, file.scene, *now, objects_);
+    objects_.follow_file(file, *now, bakes);
+    log_info("reload {}: {} is read anew", reloads_, file.path.string());
   } else {
-    log_warning("reload: the scene stays as it is: {}: {}", now.error().where, now.error().detail);
+    log_warning("reload {}: the scene stays as it is: {}: {}", reloads_, now.error().where,
+                now.error().detail);
   }
 }
 
@@ -362,7 +363,7 @@ Result<void> Service::compose(capture::FrameSource& source, const std::atomic<bo
   };
   SceneKeeper keeper(settings, progress_, ready,
                      [&](const std::string& object) { objects_.forget(object); });
-  objects_.set_scene(rig_.scene);
+  objects_.set_scene(rig_.scene, config_.scene.value_or(""));
   keeper.want(rig_.scene);
   auto attached = std::make_optional<AttachedPipeline>(objects_, pipeline, keeper);
   std::signal(SIGHUP, on_reload);
@@ -428,7 +429,7 @@ Result<void> Service::run() {
     if (stop) end_at_once(std::nullopt);
   PENUMBRA_ASSIGN(rig, opening.get());
   rig_ = std::move(rig);
-  scene_now_ = shown_ = rig_.scene;
+  shown_ = rig_.scene;
   PENUMBRA_TRY(Pipeline::check(rig_.source->cameras()));
   PENUMBRA_TRY(outputs_.open(targets_of(config_), rig_.source->view_rate()));
   state_.describe_source(rig_.source->cameras(), rig_.source->view_rate());

@@ -29,9 +29,12 @@ void FrameBudget::decide(double median_ms) {
     next_wait_ = std::max(kShortestWait, next_wait_ / 2);
     quiet_ = 0;
   }
+  unused_ = allowed_ != kAll && lights_ < allowed_ ? unused_ + 1 : 0;
   if (median_ms > period_ms_ && lights_ > 0)
     give_one_up(median_ms);
-  else if (allowed_ != kAll && even_)
+  else if (unused_ == kUnused)
+    allow_all();
+  else if (lights_ == allowed_ && even_)
     take_one_back(median_ms);
 }
 
@@ -57,6 +60,13 @@ void FrameBudget::take_one_back(double median_ms) {
     wait_ = next_wait_;
     *light_cost_ms_ *= kCostDecay;
   }
+}
+
+// What did not fit then is not what comes next.
+void FrameBudget::allow_all() {
+  allowed_ = kAll;
+  with_ms_.reset(), light_cost_ms_.reset();
+  wait_ = unused_ = 0;
 }
 
 }  // namespace penumbra::runtime

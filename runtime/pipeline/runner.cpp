@@ -465,7 +465,10 @@ void update_frame_budget(FrameBudget& budget, double busy_ms, const lighting::Li
   budget.add(busy_ms, static_cast<int>(std::ranges::count(light.lights, false,
                                                           &lighting::DistantLight::clipped)));
   if (budget.max_lights() == before) return;
-  log_info("light: the frame budget allows {}", counted(budget.max_lights(), "distant light"));
+  if (budget.max_lights() == FrameBudget::kAll)
+    log_info("light: the frame budget allows all distant lights");
+  else
+    log_info("light: the frame budget allows {}", counted(budget.max_lights(), "distant light"));
   live.affordable_lights = budget.max_lights();
 }
 

@@ -117,9 +117,9 @@ Result<SceneObject> read_object(const TomlKeys& keys, const fs::path& folder) {
                              : fmt::format("{} is not built in", asset));
   }
   o.asset = resolve(asset, folder);
-  o.name = fs::path(asset).stem().string();
   if (keys.has("name")) {
     PENUMBRA_ASSIGN(name, keys.text("name"));
+    if (name.empty()) return keys.invalid("name", "is empty");
     o.name = name;
   }
   if (keys.has("albedo")) {
@@ -276,6 +276,21 @@ std::string print_sun(const lighting::SunSite& sun) {
                             clock.minutes().count(), clock.seconds().count());
 }
 
+bool has_object(const Scene& scene, const std::string& name) {
+  return std::ranges::find(scene.objects, name, &SceneObject::name) != scene.objects.end();
+}
+
+// Objects without a name are called by their files, and counted.
+void name_the_rest(Scene& scene) {
+  for (SceneObject& o : scene.objects) {
+    if (!o.name.empty()) continue;
+    const std::string stem = fs::path(o.asset).stem().string();
+    std::string name = stem;
+    for (int n = 2; has_object(scene, name); ++n) name = fmt::format("{} {}", stem, n);
+    o.name = name;
+  }
+}
+
 }  // namespace
 
 Result<Scene> read_scene(const fs::path& path) {
@@ -288,9 +303,13 @@ Result<Scene> read_scene(const fs::path& path) {
   Scene scene;
   PENUMBRA_ASSIGN(objects, keys.tables("object"));
   for (const toml::table* table : objects) {
-    PENUMBRA_ASSIGN(object, read_object(TomlKeys(path, *table), folder));
+    const TomlKeys object_keys(path, *table);
+    PENUMBRA_ASSIGN(object, read_object(object_keys, folder));
+    if (!object.name.empty() && has_object(scene, object.name))
+      return object_keys.invalid("name", fmt::format("{} is another object's", object.name));
     scene.objects.push_back(object);
   }
+  name_the_rest(scene);
   PENUMBRA_ASSIGN(reals, keys.tables("real"));
   for (const toml::table* table : reals) {
     PENUMBRA_ASSIGN(real, read_real(path, *table, folder));

@@ -99,10 +99,25 @@ static int map_file(penumbra_client* c, const char* path) {
   return PENUMBRA_OK;
 }
 
+// A process that has ended is there until its parent has asked for it.
+static int is_zombie(uint32_t pid) {
+  char name[32], text[512];
+  snprintf(name, sizeof name, "/proc/%u/stat", pid);
+  const int fd = open(name, O_RDONLY | O_CLOEXEC);
+  if (fd < 0) return 0;
+  const ssize_t bytes = read(fd, text, sizeof text - 1);
+  close(fd);
+  if (bytes <= 0) return 0;
+  text[bytes] = 0;
+  const char* state = strrchr(text, ')');  // ends the program's name, which may hold any
+  return state && state[1] == ' ' && (state[2] == 'Z' || state[2] == 'X');
+}
+
 // In a container the writer's number may be unknown though it lives: then new lights tell.
 static int is_writer_gone(const struct penumbra_light_page* page) {
   const uint32_t pid = __atomic_load_n(&page->writer_pid, __ATOMIC_RELAXED);
-  return pid != 0 && pid <= INT_MAX && kill((pid_t)pid, 0) != 0 && errno == ESRCH;
+  if (pid == 0 || pid > INT_MAX) return 0;
+  return kill((pid_t)pid, 0) != 0 ? errno == ESRCH : is_zombie(pid);
 }
 
 static void begin_page(penumbra_client* c, int path) {

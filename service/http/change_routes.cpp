@@ -71,9 +71,11 @@ void show_scene(HttpContext& context, const Request& q, Response& r) {
   const auto value = only_value(q.body, "file");
   if (!value) return refuse(r, value.error());
   if (!value->is_string()) return refuse(r, {ErrorCode::kInvalid, "file", "is not a text"});
-  const auto scene = read_scene_in(context.options.assets, value->get<std::string>());
+  const auto file = scene_file_in(context.options.assets, value->get<std::string>());
+  if (!file) return refuse(r, file.error());
+  const auto scene = runtime::read_scene(*file);
   if (!scene) return refuse(r, scene.error());
-  reply_with_scene(context, context.sources.objects.show_scene(*scene), r, 202);
+  reply_with_scene(context, context.sources.objects.show_scene(*scene, *file), r, 202);
 }
 
 void change_budget(HttpContext& context, const Request& q, Response& r) {

@@ -7,11 +7,13 @@
 #include <algorithm>
 #include <array>
 #include <cerrno>
+#include <charconv>
 #include <chrono>
-#include <cstdlib>
 #include <cstring>
 #include <exception>
+#include <stdexcept>
 #include <string>
+#include <string_view>
 #include <utility>
 
 #include "core/io/log.h"
@@ -20,6 +22,54 @@ namespace penumbra::service {
 
 using namespace std::chrono_literals;
 using Clock = std::chrono::steady_clock;
+
+namespace {
+
+// What the library passes over, and what two programs may understand differently: lines without a
+// colon, lines that go on the one before, zero bytes.
+class HeadCheck {
+ public:
+  void add(std::string_view bytes) {
+    for (const char c : bytes) {
+      if (ended_) return;
+      if (c == '\0') malformed_ = true;
+      if (c == '\n')
+        end_line();
+      else if (c != '\r')
+        goes_on_ |= length_ == 0 && (c == ' ' || c == '\t'), has_colon_ |= c == ':', ++length_;
+    }
+  }
+  bool is_malformed() const { return malformed_; }
+
+ private:
+  void end_line() {
+    if (!first_ && length_ == 0) ended_ = true;
+    if (!first_ && length_ > 0 && (!has_colon_ || goes_on_)) malformed_ = true;
+    first_ = goes_on_ = has_colon_ = false;
+    length_ = 0;
+  }
+  bool first_ = true, ended_ = false, malformed_ = false, goes_on_ = false, has_colon_ = false;
+  std::size_t length_ = 0;  // of the line
+};
+
+// A request that must not be answered as what the library made of it.
+struct BadRequest : std::runtime_error {
+  using std::runtime_error::runtime_error;
+};
+
+// Of the head that the library has read.
+std::size_t body_length(const httplib::Request& q) {
+  if (q.get_header_value_count("Content-Length") > 1)
+    throw BadRequest("the request has more than one Content-Length");
+  const std::string text = q.get_header_value("Content-Length");
+  std::size_t length = 0;
+  const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), length);
+  if (!text.empty() && (error != std::errc() || end != text.data() + text.size()))
+    throw BadRequest("Content-Length is no number of bytes");
+  return length;
+}
+
+}  // namespace
 
 // In slices, so that a stop is not waited for.
 class GuardedServer::Client final : public httplib::Stream {
@@ -32,6 +82,7 @@ class GuardedServer::Client final : public httplib::Stream {
   /// Until bytes of a next request are there. False: none come.
   bool await_request(std::chrono::seconds idle) {
     request_bytes_ = 0;
+    head_ = {};
     const bool comes = next_ < filled_ || wait(POLLIN, Clock::now() + idle);
     deadline_ = Clock::now() + (is_crowded() ? kShortPatience : kPatience);
     return comes;
@@ -39,6 +90,7 @@ class GuardedServer::Client final : public httplib::Stream {
   /// Its head has been read, and says that so many bytes follow.
   void expect_body(std::size_t bytes) { body_ends_ = request_bytes_ + bytes; }
   bool has_read_body() const { return request_bytes_ == body_ends_; }
+  bool has_malformed_head() const { return head_.is_malformed(); }
 
   bool is_readable() const override { return next_ < filled_ || ready(POLLIN, 0ms); }
   bool is_writable() const override {
@@ -52,11 +104,13 @@ class GuardedServer::Client final : public httplib::Stream {
         {size, filled_ - next_, kMaxRequest_bytes - std::min(request_bytes_, kMaxRequest_bytes)});
     if (n == 0) return -1;
     std::memcpy(to, buffer_.data() + next_, n);
+    head_.add({to, n});
     next_ += n, request_bytes_ += n;
     return static_cast<ssize_t>(n);
   }
+  // Also to a client that has said that it sends no more, and waits for the answer.
   ssize_t write(const char* from, std::size_t size) override {
-    while (is_writable()) {
+    while (wait(POLLOUT, Clock::now() + kPatience)) {
       const ssize_t n = ::send(socket_, from, size, MSG_NOSIGNAL | MSG_DONTWAIT);
       if (n >= 0 || (errno != EAGAIN && errno != EINTR)) return n;
     }
@@ -107,6 +161,7 @@ class GuardedServer::Client final : public httplib::Stream {
   std::array<char, 4096> buffer_{};
   std::size_t next_ = 0, filled_ = 0;  // in the buffer
   std::size_t request_bytes_ = 0, body_ends_ = 0;
+  HeadCheck head_;
   Clock::time_point deadline_;
   bool ends_ = false;
 };
@@ -122,10 +177,9 @@ void GuardedServer::serve(Client& client) {
     bool closed = false, has_head = false, is_plain = false;
     const auto note_body = [&](const httplib::Request& q) {
       has_head = true;
-      is_plain =
-          !q.has_header("Transfer-Encoding") && q.get_header_value_count("Content-Length") <= 1;
-      const std::string length = q.get_header_value("Content-Length");
-      client.expect_body(std::strtoull(length.c_str(), nullptr, 10));
+      is_plain = !q.has_header("Transfer-Encoding");
+      client.expect_body(body_length(q));
+      if (client.has_malformed_head()) throw BadRequest("the request has a line that is no header");
     };
     const bool served = process_request(client, left == 1, closed, note_body);
     if (!served || closed || !has_head || !is_plain || !client.has_read_body()) return;
@@ -138,6 +192,13 @@ bool GuardedServer::process_and_close_socket(socket_t socket) {
   Client client(socket, *this);
   try {
     serve(client);
+  } catch (const BadRequest& e) {
+    const std::string body = std::string(R"({"error":")") + e.what() + "\"}\n",
+                      answer =
+                          "HTTP/1.1 400 Bad Request\r\nContent-Type: application/json\r\n"
+                          "Connection: close\r\nContent-Length: " +
+                          std::to_string(body.size()) + "\r\n\r\n" + body;
+    client.write(answer.data(), answer.size());
   } catch (const std::exception& e) {  // no request ends the service
     log_warning("http: a connection is closed: {}", e.what());
   }

@@ -13,10 +13,6 @@
 #include <csignal>
 #include <thread>
 
-#include "codec/codec.h"
-#include "codec/cube_ktx.h"
-#include "codec/display.h"
-#include "codec/gain_map_jpeg.h"
 #include "core/io/log.h"
 #include "runtime/pipeline/report.h"
 #include "service/http/internal/context.h"
@@ -29,43 +25,6 @@ namespace penumbra::service {
 namespace fs = std::filesystem;
 using httplib::Request;
 using httplib::Response;
-
-Result<std::shared_ptr<const std::string>> FrameJpeg::of(
-    const std::shared_ptr<const FramePixels>& frame) {
-  const std::scoped_lock lock(mutex_);
-  if (frame_ != frame) {
-    PENUMBRA_ASSIGN(jpeg, codec::encode_jpeg(codec::to_display(*frame)));
-    bytes_ = std::make_shared<const std::string>(jpeg.begin(), jpeg.end());
-    frame_ = frame;
-  }
-  return bytes_;
-}
-
-Result<std::shared_ptr<const std::string>> EnvironmentJpeg::of(
-    const std::shared_ptr<const Environment>& map) {
-  constexpr Seconds kOvertaken(1);  // further back a capture began anew
-  const std::scoped_lock lock(mutex_);
-  const Seconds step = map_ ? map->time - map_->time : Seconds(0);
-  if (map_ == map || (step < Seconds(0) && step > -kOvertaken)) return bytes_;
-  if (step < Seconds(0)) tone_.restart();
-  PENUMBRA_ASSIGN(base, tone_.map(map->radiance, map->time));
-  PENUMBRA_ASSIGN(jpeg, codec::encode_gain_map_jpeg(map->radiance, base.pixels));
-  bytes_ = std::make_shared<const std::string>(jpeg.begin(), jpeg.end());
-  map_ = map;
-  return bytes_;
-}
-
-Result<std::shared_ptr<const std::string>> EnvironmentCube::of(
-    const std::shared_ptr<const Environment>& map) {
-  const std::scoped_lock lock(mutex_);
-  if (map_ == map) return bytes_;
-  const Image<Rgb>& radiance = map->radiance;
-  if (!cube_ || !cube_->fits(radiance)) cube_.emplace(radiance.width(), radiance.height(), kEdge);
-  PENUMBRA_ASSIGN(ktx, codec::encode_cube_ktx(cube_->apply(radiance), kEdge));
-  bytes_ = std::make_shared<const std::string>(ktx.begin(), ktx.end());
-  map_ = map;
-  return bytes_;
-}
 
 nlohmann::json RecentStages::now() {
   const std::scoped_lock lock(mutex_);
@@ -102,8 +61,13 @@ namespace {
 // Against DNS rebinding: a page whose name was bound anew to a loopback address sends that name.
 bool is_for_loopback(const Request& request) {
   const std::string host = lower(request.get_header_value("Host"));
-  if (host.starts_with('[')) return is_loopback(host.substr(1, host.find(']') - 1));
-  return is_loopback(host.substr(0, host.find(':')));
+  const bool is_v6 = host.starts_with('[');
+  const std::size_t end = std::min(host.size(), host.find(is_v6 ? ']' : ':'));
+  const std::string port = host.substr(std::min(host.size(), end + (is_v6 ? 1 : 0)));
+  const auto is_digit = [](unsigned char c) { return std::isdigit(c) != 0; };
+  if (!port.empty() && (port[0] != ':' || !std::all_of(port.begin() + 1, port.end(), is_digit)))
+    return false;
+  return is_loopback(is_v6 ? host.substr(1, end - 1) : host.substr(0, end));
 }
 
 // In a time that tells nothing about where they differ.
@@ -114,23 +78,30 @@ bool are_same(const std::string& a, const std::string& b) {
   return differ == 0;
 }
 
-constexpr const char* kCookie = "penumbra_token=";
+// Whether a cookie of the name has the value; others of that name may be there, of other paths.
+bool has_cookie(const std::string& cookies, const std::string& name, const std::string& value) {
+  for (std::size_t from = 0; from < cookies.size();) {
+    from = std::min(cookies.size(), cookies.find_first_not_of("; \t", from));
+    const std::size_t end = std::min(cookies.size(), cookies.find(';', from));
+    const std::string one = cookies.substr(from, end - from);
+    if (one.starts_with(name + "=") && are_same(one.substr(name.size() + 1), value)) return true;
+    from = end;
+  }
+  return false;
+}
 
 // As a bearer, or once in the address, which the page's own requests then carry as a cookie.
-bool has_token(const Request& q, const std::string& token, Response& r) {
+// cookie: its name, another one for each port, as browsers keep those of a host together
+bool has_token(const Request& q, const std::string& token, const std::string& cookie, Response& r) {
   constexpr std::size_t kBearer = 7;  // its name is of any case
   const std::string bearer = q.get_header_value("Authorization");
   if (lower(bearer.substr(0, kBearer)) == "bearer " && are_same(bearer.substr(kBearer), token))
     return true;
   if (q.has_param("token") && are_same(q.get_param_value("token"), token)) {
-    r.set_header("Set-Cookie", kCookie + token + "; HttpOnly; SameSite=Strict; Path=/");
+    r.set_header("Set-Cookie", cookie + "=" + token + "; HttpOnly; SameSite=Strict; Path=/");
     return true;
   }
-  const std::string cookies = q.get_header_value("Cookie");
-  const auto at = cookies.find(kCookie);
-  if (at == std::string::npos) return false;
-  const auto from = at + std::string_view(kCookie).size();
-  return are_same(cookies.substr(from, cookies.find(';', from) - from), token);
+  return has_cookie(q.get_header_value("Cookie"), cookie, token);
 }
 
 // The library's own options let a second server share the port and take half of the requests.
@@ -208,7 +179,8 @@ struct HttpApi::Impl {
       reply(r, {{"error", "only requests to localhost or a loopback address are answered"}}, 403);
       return true;
     }
-    if (!o.token.empty() && q.method != "OPTIONS" && !has_token(q, o.token, r)) {
+    const std::string cookie = fmt::format("penumbra_token_{}", port);
+    if (!o.token.empty() && q.method != "OPTIONS" && !has_token(q, o.token, cookie, r)) {
       r.set_header("WWW-Authenticate", "Bearer");
       reply(r, {{"error", "the token is missing or wrong"}}, 401);
       return true;

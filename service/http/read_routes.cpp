@@ -5,13 +5,9 @@
 #include <array>
 #include <cmath>
 
-#include "codec/codec.h"
-#include "codec/display.h"
 #include "core/conventions.h"
-#include "core/io/files.h"
 #include "runtime/pipeline/report.h"
 #include "service/http/internal/context.h"
-#include "service/http/internal/scratch_file.h"
 #include "service/http/light_conventions.h"
 
 namespace penumbra::service {
@@ -39,14 +35,15 @@ void tell_time(TimestampNs time, Response& r) {
   r.set_header("Penumbra-Time-Ns", std::to_string(time.value));
 }
 
-// Writers of pictures write files.
-template <class Write>
-void reply_with_file(Response& r, const std::string& extension, const char* type, Write write) {
-  const ScratchFile file(extension);
-  if (const auto written = write(file.path()); !written) return refuse(r, written.error());
-  auto bytes = read_bytes(file.path(), std::size_t{1} << 30);
-  if (!bytes) return refuse(r, bytes.error());
-  r.set_content(reinterpret_cast<const char*>(bytes->data()), bytes->size(), type);
+// Its bytes are those of all who ask, not copied for each.
+void reply_with_file(Response& r, const char* type, const Result<EncodedFile>& file) {
+  if (!file) return refuse(r, file.error());
+  tell_time(file->time, r);
+  r.set_content_provider(
+      file->bytes->size(), type,
+      [bytes = file->bytes](std::size_t offset, std::size_t length, httplib::DataSink& sink) {
+        return sink.write(bytes->data() + offset, length);
+      });
 }
 
 void get_light(HttpContext& context, const Request& q, Response& r) {
@@ -85,26 +82,12 @@ json histogram_of(const Environment& map) {
 void get_environment(HttpContext& context, const std::string& kind, Response& r) {
   const auto map = context.sources.state.environment();
   if (!map) return no_light_yet(r);
+  EnvironmentFiles& files = context.environment_files;
+  if (kind == ".jpg") return reply_with_file(r, "image/jpeg", files.jpeg(map));
+  if (kind == ".ktx") return reply_with_file(r, "image/ktx", files.cube(map));
+  if (kind == ".exr") return reply_with_file(r, "image/x-exr", files.exr(map));
+  if (kind == ".hdr") return reply_with_file(r, "image/vnd.radiance", files.hdr(map));
   tell_time(map->time, r);
-  if (kind == ".jpg") {
-    const auto jpeg = context.environment_jpeg.of(map);
-    if (!jpeg) return refuse(r, jpeg.error());
-    return r.set_content(**jpeg, "image/jpeg");
-  }
-  if (kind == ".ktx") {
-    const auto cube = context.environment_cube.of(map);
-    if (!cube) return refuse(r, cube.error());
-    return r.set_content(**cube, "image/ktx");
-  }
-  if (!kind.empty())
-    return reply_with_file(
-        r, kind, kind == ".exr" ? "image/x-exr" : "image/vnd.radiance", [&](const auto& path) {
-          return codec::write_hdr(
-              path, map->radiance, codec::Depth::kHalf,
-              kind == ".exr" ? std::optional(codec::EnvironmentAttribute::kLatLong) : std::nullopt,
-              kind == ".exr" ? map->confidence : Image<float>(),
-              kind == ".exr" ? clipped_pixels(*map) : Image<float>());
-        });
   const auto s = context.sources.state.snapshot();
   reply(r, {{"width", map->radiance.width()},
             {"height", map->radiance.height()},
@@ -119,14 +102,9 @@ void get_environment(HttpContext& context, const std::string& kind, Response& r)
 void get_frame(HttpContext& context, const std::string& kind, Response& r) {
   const auto s = context.sources.state.snapshot();
   if (!s.frame) return no_frame_yet(r);
-  tell_time(s.now, r);
   if (kind == ".png")
-    return reply_with_file(r, kind, "image/png", [&](const auto& path) {
-      return codec::write_frame(path, codec::to_display(*s.frame));
-    });
-  const auto bytes = context.jpeg.of(s.frame);
-  if (!bytes) return refuse(r, bytes.error());
-  r.set_content(**bytes, "image/jpeg");
+    return reply_with_file(r, "image/png", context.frame_files.png(s.frame, s.now));
+  reply_with_file(r, "image/jpeg", context.frame_files.jpeg(s.frame, s.now));
 }
 
 json view_json(const PublishedState::Snapshot& s) {

@@ -57,14 +57,26 @@ bool wait_until(Clock::time_point due, const HttpContext& context,
   return !context.stopping;
 }
 
+using Provider = httplib::ContentProviderWithoutLength;
+
+// In chunks; to a client of HTTP/1.0, which knows none, until the connection ends.
+void reply_with_stream(HttpContext& context, const Request& q, Response& r, const std::string& type,
+                       Provider provider) {
+  const auto leave = [&context](bool) { --context.streams; };
+  r.set_header("Cache-Control", "no-store");
+  if (q.version != "HTTP/1.0")
+    return r.set_chunked_content_provider(type, std::move(provider), leave);
+  r.set_header("Connection", "close");
+  r.set_content_provider(type, std::move(provider), leave);
+}
+
 void stream_events(HttpContext& context, const Request& q, Response& r) {
   const auto rate = rate_of(q, 4, 30);
   if (!rate) return refuse(r, rate.error());
   if (!take_place(context, r)) return;
   const auto period = std::chrono::duration_cast<Clock::duration>(Seconds(1 / *rate));
-  r.set_header("Cache-Control", "no-store");
-  r.set_chunked_content_provider(
-      "text/event-stream",
+  reply_with_stream(
+      context, q, r, "text/event-stream",
       [&context, period, due = Clock::now()](std::size_t, httplib::DataSink& sink) mutable {
         // A comment, which only shows that the client is there.
         if (!wait_until(due, context, [&] { return sink.write(":\n\n", 3); })) return false;
@@ -74,8 +86,7 @@ void stream_events(HttpContext& context, const Request& q, Response& r) {
             state_json(context).dump(-1, ' ', false, nlohmann::json::error_handler_t::replace) +
             "\n\n";
         return sink.write(text.data(), text.size());
-      },
-      [&context](bool) { --context.streams; });
+      });
 }
 
 // The newest frame each time; a client that takes them slowly gets fewer.
@@ -84,9 +95,8 @@ void stream_frames(HttpContext& context, const Request& q, Response& r) {
   if (!rate) return refuse(r, rate.error());
   if (!take_place(context, r)) return;
   const auto period = std::chrono::duration_cast<Clock::duration>(Seconds(1 / *rate));
-  r.set_header("Cache-Control", "no-store");
-  r.set_chunked_content_provider(
-      fmt::format("multipart/x-mixed-replace; boundary={}", kBoundary),
+  reply_with_stream(
+      context, q, r, fmt::format("multipart/x-mixed-replace; boundary={}", kBoundary),
       [&context, period, shown = std::uint64_t{0}, due = Clock::now()](
           std::size_t, httplib::DataSink& sink) mutable {
         if (!wait_until(due, context, [&] { return sink.is_writable(); })) return false;
@@ -96,16 +106,15 @@ void stream_frames(HttpContext& context, const Request& q, Response& r) {
         const auto s = context.sources.state.snapshot();
         shown = s.frames;
         if (!s.frame) return true;
-        const auto jpeg = context.jpeg.of(s.frame);
+        const auto jpeg = context.frame_files.jpeg(s.frame, s.now);
         if (!jpeg) return false;
         const std::string head = fmt::format(
             "--{}\r\nContent-Type: image/jpeg\r\nContent-Length: {}\r\n"
             "X-Timestamp: {:.6f}\r\n\r\n",
-            kBoundary, (*jpeg)->size(), static_cast<double>(s.now.value) * 1e-9);
+            kBoundary, jpeg->bytes->size(), static_cast<double>(jpeg->time.value) * 1e-9);
         return sink.write(head.data(), head.size()) &&
-               sink.write((*jpeg)->data(), (*jpeg)->size()) && sink.write("\r\n", 2);
-      },
-      [&context](bool) { --context.streams; });
+               sink.write(jpeg->bytes->data(), jpeg->bytes->size()) && sink.write("\r\n", 2);
+      });
 }
 
 }  // namespace

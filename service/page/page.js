@@ -612,6 +612,7 @@ function showRecording(recording) {
   setText("recording", recording ? `${recording.file}: ${duration(recording.seconds)}, ` +
     `${count(recording.frames, "frame")}, ${significant(recording.bytes / 1e6)} MB` +
     (recording.dropped ? `, ${recording.dropped} dropped` : "") : "");
+  setText("recording-fault", recording?.error ? `⚠ ${recording.error}` : "");
 }
 function showHeader() {
   setText("status", state.status);

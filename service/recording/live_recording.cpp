@@ -172,6 +172,9 @@ Result<std::string> LiveRecording::start(const std::string& name, runtime::KeptL
     Result<RecordCounts> done = fail(ErrorCode::kUnavailable, file.string(), "");
     try {
       done = record_frames(*frames, file, {}, stop_, tell);
+      if (done && done->frames.empty())
+        done = fail(ErrorCode::kNotFound, file.filename().string(),
+                    "was stopped before each camera had sent a frame: nothing is kept");
     } catch (const std::exception& e) {
       done = fail(ErrorCode::kUnavailable, file.string(), reason_of(e));
     }

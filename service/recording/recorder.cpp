@@ -212,7 +212,9 @@ Result<RecordCounts> record_frames(capture::FrameSource& source, const std::file
     told = Clock::now();
     if (on_progress) on_progress(recorder.counts());
   }
-  PENUMBRA_TRY(recorder.finish());
+  const auto finished = recorder.finish();
+  if (on_progress) on_progress(recorder.counts());
+  PENUMBRA_TRY(finished);
   if (!failed && taken == 0 && watch.late())
     failed = Error{ErrorCode::kUnavailable, cameras.front().name,
                    fmt::format("delivers nothing within {:.0f} s", kPatience.count())};

@@ -258,11 +258,12 @@ bool have_same_lamps(const runtime::Scene& a, const runtime::Scene& b) {
   });
 }
 
-Result<runtime::Scene> read_scene_in(const fs::path& folder, std::string_view name) {
+Result<fs::path> scene_file_in(const fs::path& folder, std::string_view name) {
   const fs::path file(name);
-  if (folder.empty() || file.filename() != file || file.extension() != ".toml")
+  const bool is_text = name.find('\0') == std::string_view::npos;
+  if (!is_text || folder.empty() || file.filename() != file || file.extension() != ".toml")
     return fail(ErrorCode::kInvalid, "file", "is no .toml file in the folder of the scene");
-  return runtime::read_scene(folder / file);
+  return folder / file;
 }
 
 void SceneControl::attach(Pipeline* pipeline, SceneKeeper* keeper) {
@@ -271,9 +272,10 @@ void SceneControl::attach(Pipeline* pipeline, SceneKeeper* keeper) {
   keeper_ = keeper;
 }
 
-void SceneControl::set_scene(const runtime::Scene& scene) {
+void SceneControl::set_scene(const runtime::Scene& scene, const fs::path& file) {
   const std::scoped_lock lock(mutex_);
   scene_ = scene;
+  file_ = {file, scene};
 }
 
 std::optional<runtime::ObjectState> SceneControl::find(std::string_view object) const {
@@ -359,33 +361,35 @@ Result<void> SceneControl::remove_lamp(std::size_t lamp) {
   return {};
 }
 
-Result<void> SceneControl::show_scene(const runtime::Scene& scene) {
+Result<void> SceneControl::show_scene(const runtime::Scene& scene, const fs::path& file) {
   const std::scoped_lock lock(mutex_);
   if (!keeper_) return starting();
   scene_ = scene;
   for (runtime::SceneObject& o : scene_.objects) o.instance = ++instances_;
   added_.clear(), taken_away_.clear();
-  follows_file_ = false;
+  file_ = {file, scene};
   keeper_->forget_faults();
   keeper_->want(scene_);
   return {};
 }
 
-void SceneControl::follow_file(const runtime::Scene& last, const runtime::Scene& now, bool bakes) {
+void SceneControl::follow_file(const SceneFile& last, const runtime::Scene& now, bool bakes) {
   const std::scoped_lock lock(mutex_);
+  if (file_.path != last.path) return;
+  file_.scene = now;
   runtime::Scene wanted = now;
   std::erase_if(wanted.objects, [&](const auto& o) {
     return taken_away_.contains(o.name) || added_.contains(o.name);
   });
   for (runtime::SceneObject& o : wanted.objects) {
-    const runtime::SceneObject* const before = named(last, o.name);
+    const runtime::SceneObject* const before = named(last.scene, o.name);
     const runtime::SceneObject* const mine = named(scene_, o.name);
     const bool is_another = !before || !mine || is_another_bake(*before, o);
     o.instance = is_another ? ++instances_ : mine->instance;
   }
   for (const runtime::SceneObject& o : scene_.objects)
     if (added_.contains(o.name)) wanted.objects.push_back(o);
-  if (have_same_lamps(last, now)) wanted.lamps = scene_.lamps;
+  if (have_same_lamps(last.scene, now)) wanted.lamps = scene_.lamps;
   scene_ = wanted;
   if (!keeper_ || !bakes) return;
   keeper_->forget_faults();
@@ -412,9 +416,9 @@ void SceneControl::forget(const std::string& object) {
   added_.erase(object);
 }
 
-bool SceneControl::follows_file() const {
+SceneFile SceneControl::file() const {
   const std::scoped_lock lock(mutex_);
-  return follows_file_;
+  return file_;
 }
 
 Result<void> SceneControl::set_max_shadow_error(double error) {

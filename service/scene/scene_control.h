@@ -47,9 +47,15 @@ Result<shadows::Lamp> read_lamp_change(std::string_view json, const shadows::Lam
 bool is_another_bake(const runtime::SceneObject& a, const runtime::SceneObject& b);
 bool have_same_lamps(const runtime::Scene& a, const runtime::Scene& b);
 
-/// The scene of a file in a folder.
-/// errors: kInvalid (no plain file name of the folder), as runtime::read_scene
-Result<runtime::Scene> read_scene_in(const std::filesystem::path& folder, std::string_view name);
+/// A scene file of a folder, by its name.
+/// errors: kInvalid (no plain file name of the folder)
+Result<std::filesystem::path> scene_file_in(const std::filesystem::path& folder,
+                                            std::string_view name);
+
+struct SceneFile {
+  std::filesystem::path path;  // empty: none
+  runtime::Scene scene;        // as it was read
+};
 
 /// threads: thread-safe
 class SceneControl {
@@ -59,7 +65,8 @@ class SceneControl {
   /// From now on changes go to them, until others or none come. Both outlive that.
   void attach(Pipeline* pipeline, SceneKeeper* keeper);
   /// The scene that additions and removals start from.
-  void set_scene(const runtime::Scene& scene);
+  /// file: that it was read from; empty: none
+  void set_scene(const runtime::Scene& scene, const std::filesystem::path& file = {});
 
   /// In effect with the next frame. One that is refused changes nothing.
   /// errors: kUnavailable (no pipeline yet), kNotFound (no such object), kNonFinite, kInvalid (off
@@ -79,16 +86,16 @@ class SceneControl {
   Result<void> remove_lamp(std::size_t lamp);
   /// Another scene in the place of this one.
   /// errors: kUnavailable (no pipeline yet)
-  Result<void> show_scene(const runtime::Scene& scene);
+  Result<void> show_scene(const runtime::Scene& scene, const std::filesystem::path& file);
   /// The scene's file was read anew. What it no longer has goes, what it has now comes, and what
   /// clients added or took away stays so. Objects that are baked otherwise than before begin where
-  /// the file has them.
+  /// the file has them. Nothing where another scene was asked for meanwhile.
   /// bakes: whether anything has to be baked, or looked up in the cache
-  void follow_file(const runtime::Scene& last, const runtime::Scene& now, bool bakes);
+  void follow_file(const SceneFile& last, const runtime::Scene& now, bool bakes);
   /// It cannot be baked: from now on the scene is without it.
   void forget(const std::string& object);
-  /// Whether the scene is still that of its file: not once another one was asked for.
-  bool follows_file() const;
+  /// What the scene was last read from.
+  SceneFile file() const;
   /// errors: kUnavailable (no pipeline yet), kInvalid (not above 0 and at most 1)
   Result<void> set_max_shadow_error(double error);
 
@@ -108,7 +115,7 @@ class SceneControl {
   SceneKeeper* keeper_ = nullptr;
   runtime::Scene scene_;                      // as it is wanted
   std::set<std::string> added_, taken_away_;  // by clients, of the file's scene
-  bool follows_file_ = true;
+  SceneFile file_;
   unsigned instances_ = 0;  // of objects, so far
 };
 

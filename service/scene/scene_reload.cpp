@@ -74,6 +74,10 @@ bool apply_scene(const runtime::Scene& shown, const runtime::Scene& last, const 
     log_info("{}: is out of the scene file", o.name);
     more = true;
   }
+  // What is still being baked must not come either.
+  more |= std::ranges::any_of(last.objects, [&](const SceneObject& o) {
+    return !find(now, o.name) && !find(shown, o.name);
+  });
   return more;
 }
 

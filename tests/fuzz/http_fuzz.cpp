@@ -54,7 +54,8 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
   const std::string_view text(reinterpret_cast<const char*>(data), size);
   (void)service::read_object_change(text);
   (void)service::read_lamp_change(text, {});
-  (void)service::read_scene_in(served.folder.path(), text);
+  if (const auto file = service::scene_file_in(served.folder.path(), text))
+    (void)runtime::read_scene(*file);
   if (const auto object = service::read_new_object(text, served.folder.path()))
     if (!object->asset.starts_with("builtin:")) __builtin_trap();  // the folder has no files
   if (!served.answers(text)) __builtin_trap();

@@ -148,6 +148,23 @@ TEST(FrameBudget, ALoadThatComesAndGoesIsFollowedLessAndLess) {
   EXPECT_GE(changes, 2);
 }
 
+// One of the two that went has left the scene, and nothing is waited for: it would be given back
+// for ever.
+TEST(FrameBudget, WhatNobodyUsesIsNotGivenBackAgainAndAgain) {
+  Machine m{8, 4, 4};
+  m.run(300);
+  ASSERT_EQ(m.lights, 2);
+  m.wanted = 1, m.base_ms = 4;
+  m.run(60 * 60);
+  EXPECT_EQ(m.pace.max_lights(), FrameBudget::kAll);
+  int changes = 0;
+  for (std::size_t i = 301; i < m.allowed.size(); ++i) changes += m.allowed[i] != m.allowed[i - 1];
+  EXPECT_LE(changes, 2);
+  m.wanted = 4, m.base_ms = 8;
+  m.run(300);
+  EXPECT_EQ(m.lights, 2) << "and what comes back is tried";
+}
+
 TEST(FrameBudget, WithoutLightsThereIsNothingToSpare) {
   Machine m{30, 8, 0};
   m.run(300);

@@ -151,6 +151,21 @@ TEST_F(SceneFile, RelativePathsAreMeantFromTheScene) {
   EXPECT_EQ(scene->real[0].mesh, (folder_.path() / "b.ply").string());
 }
 
+// A request or a file that is read anew would mean either.
+TEST_F(SceneFile, NoTwoObjectsShareAName) {
+  expect_invalid(
+      "version = 1\n[[object]]\nasset = \"a.obj\"\nname = \"x\"\n"
+      "[[object]]\nasset = \"b.obj\"\nname = \"x\"\n",
+      7, "name");
+  const auto scene = read(
+      "version = 1\n[[object]]\nasset = \"a.obj\"\n[[object]]\nasset = \"a.obj\"\n"
+      "[[object]]\nasset = \"b.obj\"\nname = \"a\"\n");
+  ASSERT_TRUE(scene) << scene.error().detail;
+  EXPECT_EQ(scene->objects[0].name, "a 2");
+  EXPECT_EQ(scene->objects[1].name, "a 3");
+  EXPECT_EQ(scene->objects[2].name, "a");
+}
+
 TEST_F(SceneFile, UnknownKeysAreNamedWithFileAndLine) {
   expect_invalid("version = 1\nobjects = 3\n", 2, "objects");
   expect_invalid("version = 1\n[[object]]\nasset = \"a.obj\"\ncolor = [1, 1, 1]\n", 4, "color");

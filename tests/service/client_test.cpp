@@ -3,6 +3,8 @@
 #include <gtest/gtest.h>
 
 #include <sys/stat.h>
+#include <sys/wait.h>
+#include <unistd.h>
 
 #include <array>
 #include <atomic>
@@ -234,6 +236,21 @@ TEST_F(LightPage, OfADaemonThatEndedIsStale) {
   writer.write(light_full_of(10));
   EXPECT_EQ(penumbra_client_light(client, &light), PENUMBRA_OK)
       << "who writes lives, whatever its number is here";
+}
+
+// Killed, and its parent has not asked yet.
+TEST_F(LightPage, OfADaemonWhoseParentHasNotAskedForItIsStale) {
+  const pid_t ended = ::fork();
+  if (ended == 0) ::_exit(0);
+  siginfo_t about{};
+  ASSERT_EQ(::waitid(P_PID, static_cast<id_t>(ended), &about, WEXITED | WNOWAIT), 0);
+  LightPageWriter writer(path);
+  writer.write(light_full_of(9));
+  writer.page().writer_pid = static_cast<std::uint32_t>(ended);
+  const OpenClient client(path);
+  penumbra_light light{};
+  EXPECT_EQ(penumbra_client_light(client, &light), PENUMBRA_STALE);
+  ::waitpid(ended, nullptr, 0);
 }
 
 TEST_F(LightPage, OfAFileThatIsNoneIsRefused) {

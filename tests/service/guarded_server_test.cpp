@@ -65,6 +65,8 @@ class RawConnection {
     return ::send(socket_, text.data(), text.size(), MSG_NOSIGNAL) ==
            static_cast<ssize_t>(text.size());
   }
+  /// Nothing more is sent; the answer is waited for.
+  void end_sending() const { ::shutdown(socket_, SHUT_WR); }
   /// All that comes until the server closes.
   std::string rest() const {
     std::string out;
@@ -118,10 +120,38 @@ TEST(GuardedServer, ABodyThatNobodyReadIsNoRequest) {
   for (const std::string& head :
        {foreign, "GET" + local + length, "OPTIONS" + local + length,
         "POST" + local + "Content-Type: multipart/form-data\r\n" + length,
-        "POST" + local + "Content-Length: 0\r\n" + length,
         "POST" + local + "Transfer-Encoding: chunked\r\n", std::string("nonsense\r\n")})
     for (const std::size_t size : {std::size_t{0}, kReadAhead})
       EXPECT_EQ(changes_within<GuardedServer>(head, size), 0) << size << ": " << head;
+}
+
+std::string answer_to(const std::string& request, bool ends) {
+  ListeningServer<GuardedServer> running;
+  const RawConnection client(running.port);
+  client.send(request);
+  if (ends) client.end_sending();
+  return client.rest();
+}
+
+// Two programs in a row may take such a head for different requests.
+TEST(GuardedServer, AHeadThatMayBeReadTwoWaysIsRefused) {
+  using namespace std::string_literals;
+  const std::string first = "GET / HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n";
+  EXPECT_NE(answer_to(first + "\r\n", false).find(" 200 "), std::string::npos);
+  for (const std::string& line :
+       {"Content-Length: 2\r\nContent-Length: 2\r\n"s, "Content-Length: 2x\r\n"s,
+        "Content-Length: -1\r\n"s, "Content-Length: 99999999999999999999\r\n"s,
+        "no colon here\r\n"s, "X-A: b\r\n more of it\r\n"s, "X-A: b\0c\r\n"s}) {
+    const std::string answer = answer_to(first + line + "\r\n", false);
+    EXPECT_NE(answer.find(" 400 "), std::string::npos) << line << answer;
+    EXPECT_NE(answer.find("{\"error\":"), std::string::npos) << line << answer;
+  }
+}
+
+// As `nc -N` does: it has asked, and reads on.
+TEST(GuardedServer, WhoHasSentAllIsAnswered) {
+  EXPECT_NE(answer_to("GET / HTTP/1.1\r\nHost: localhost\r\n\r\n", true).find(" 200 "),
+            std::string::npos);
 }
 
 TEST(GuardedServer, RequestsInOnePacketAreAllAnswered) {

@@ -4,11 +4,13 @@
 
 #include <gtest/gtest.h>
 #include <httplib.h>
+#include <netinet/in.h>
 #include <sys/socket.h>
 #include <sys/stat.h>
 #include <sys/un.h>
 #include <unistd.h>
 
+#include <array>
 #include <atomic>
 #include <cmath>
 #include <cstdint>
@@ -23,6 +25,7 @@
 #include "codec/gain_map_jpeg.h"
 #include "core/conventions.h"
 #include "core/half.h"
+#include "service/http/internal/context.h"
 #include "service/scene/scene_reload.h"
 #include "tests/support/gl.h"
 #include "tests/support/temp_folder.h"
@@ -133,7 +136,11 @@ TEST(HttpApi, AnAddressThatOthersReachNeedsTheToken) {
   const std::string cookie = first->get_header_value("Set-Cookie");
   EXPECT_NE(cookie.find("HttpOnly; SameSite=Strict"), std::string::npos);
   EXPECT_EQ(status({{"Cookie", "a=b; " + cookie.substr(0, cookie.find(';'))}}), kNoLight);
-  EXPECT_EQ(status({{"Cookie", "penumbra_token=wrong"}}), 401);
+  const std::string name = cookie.substr(0, cookie.find('='));
+  EXPECT_EQ(name, fmt::format("penumbra_token_{}", s.api->port())) << "of several services";
+  EXPECT_EQ(status({{"Cookie", name + "=wrong"}}), 401);
+  EXPECT_EQ(status({{"Cookie", name + "=wrong; " + cookie.substr(0, cookie.find(';'))}}), kNoLight);
+  EXPECT_EQ(status({{"Cookie", "x" + cookie.substr(0, cookie.find(';'))}}), 401);
 }
 
 TEST(HttpApi, OnlyPagesOfListedOriginsMayRead) {
@@ -179,7 +186,8 @@ TEST(HttpApi, AHostThatIsNoLoopbackNameIsRefused) {
        {"localhost", "LocalHost:8080", "127.0.0.1:8080", "127.1.2.3", "[::1]", "[::1]:8080"})
     EXPECT_EQ(status(host), 503) << host << ": no light yet";
   for (const char* host : {"evil.example", "evil.example:8080", "127.evil.example", "10.0.0.1",
-                           "127.1.2.3.4", "[", "localhost.evil.example", ":8080"})
+                           "127.1.2.3.4", "[", "localhost.evil.example", ":8080",
+                           "[::1]evil.example", "localhost:80.evil.example", "[::1]:80x"})
     EXPECT_EQ(status(host), 403) << host;
 }
 
@@ -622,6 +630,53 @@ TEST(HttpApi, EventsAndFramesStreamUntilTheClientLeaves) {
 }
 
 // As many as are allowed, and none more; what they hold comes back.
+// Who knows no chunks would take their sizes for events.
+TEST(HttpApi, AStreamToAnOldClientHasNoChunks) {
+  Served s;
+  publish_something(s.state);
+  const int socket = ::socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0);
+  sockaddr_in to{};
+  to.sin_family = AF_INET;
+  to.sin_port = htons(static_cast<std::uint16_t>(s.api->port()));
+  to.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
+  ASSERT_EQ(::connect(socket, reinterpret_cast<const sockaddr*>(&to), sizeof to), 0);
+  const std::string request = "GET /v1/events?rate_hz=30 HTTP/1.0\r\nHost: localhost\r\n\r\n";
+  ASSERT_EQ(::send(socket, request.data(), request.size(), 0),
+            static_cast<ssize_t>(request.size()));
+  std::string answer;
+  std::array<char, 4096> part{};
+  for (ssize_t n = 0; answer.find("\n\nevent") == std::string::npos &&
+                      (n = ::recv(socket, part.data(), part.size(), 0)) > 0;)
+    answer.append(part.data(), static_cast<std::size_t>(n));
+  ::close(socket);
+  EXPECT_EQ(answer.find("Transfer-Encoding"), std::string::npos);
+  EXPECT_NE(answer.find("\r\n\r\nevent: state\ndata: {"), std::string::npos);
+  EXPECT_NE(answer.find("\n\nevent: state\ndata: {"), std::string::npos) << answer.substr(0, 400);
+}
+
+// Each of many clients encoded its own: hundreds of megabytes, and kept.
+TEST(EncodedFiles, AreMadeOnceAndNewestWins) {
+  const auto map_at = [](double s) {
+    auto out = std::make_shared<Environment>();
+    out->radiance = Image<Rgb>(64, 32);
+    out->time = TimestampNs{0} + Seconds(s);
+    return out;
+  };
+  EnvironmentFiles files;
+  const auto first = map_at(5), second = map_at(5.2), anew = map_at(1);
+  for (const auto of : {&EnvironmentFiles::exr, &EnvironmentFiles::hdr, &EnvironmentFiles::jpeg,
+                        &EnvironmentFiles::cube}) {
+    const auto a = (files.*of)(first), again = (files.*of)(first);
+    ASSERT_TRUE(a && again) << a.error().detail;
+    EXPECT_EQ(a->bytes, again->bytes);
+    const auto b = (files.*of)(second);
+    EXPECT_EQ(b->time, second->time);
+    EXPECT_NE(b->bytes, a->bytes);
+    EXPECT_EQ((files.*of)(first)->time, second->time) << "it waited, and gets the newer one";
+    EXPECT_EQ((files.*of)(anew)->time, anew->time) << "the capture began anew";
+  }
+}
+
 TEST(HttpApi, StreamsAreBounded) {
   Served s;
   publish_something(s.state);

@@ -175,17 +175,50 @@ TEST(SceneKeeper, AFileReadAnewKeepsWhatClientsAddedAndTookAway) {
   edited.objects[0].fit_size_m = .3;  // another bake, another place
   edited.objects[0].position.x = .2;
   edited.objects.push_back(box("d", -.5));
-  r.control.follow_file(file, edited, apply_scene(r.shown, file, edited, r.control));
+  r.control.follow_file(r.control.file(), edited, apply_scene(r.shown, file, edited, r.control));
   r.settle();
   EXPECT_NEAR(r.state("a")->place.position_m.x, .2, 1e-9) << "the file's new place counts";
   EXPECT_FALSE(r.state("b")) << "taken away by a client";
   EXPECT_NEAR(r.state("c")->place.position_m.x, -1, 1e-9) << "the client's own";
   EXPECT_TRUE(r.state("d"));
-  ASSERT_TRUE(r.control.follows_file());
-  ASSERT_TRUE(r.control.show_scene(on_a_floor({box("z", 0)})));
+}
+
+TEST(SceneKeeper, AnotherSceneIsFollowedByItsOwnFile) {
+  Running r;
+  PENUMBRA_NEED_GL(r.pipeline);
+  r.start(on_a_floor({box("a", 0)}));
+  const SceneFile first = r.control.file();
+  ASSERT_TRUE(r.control.show_scene(on_a_floor({box("z", 0)}), "other.toml"));
   r.settle();
-  EXPECT_FALSE(r.control.follows_file());
   EXPECT_EQ(r.pipeline->objects().size(), 1u);
+  EXPECT_EQ(r.control.file().path, "other.toml");
+  const runtime::Scene edited = on_a_floor({box("z", .3), box("y", -.3)});
+  r.control.follow_file(first, edited, true);  // of the file before
+  r.settle();
+  EXPECT_FALSE(r.state("y"));
+  const SceneFile now = r.control.file();
+  r.control.follow_file(now, edited, apply_scene(r.shown, now.scene, edited, r.control));
+  r.settle();
+  EXPECT_TRUE(r.state("y"));
+  EXPECT_NEAR(r.state("z")->place.position_m.x, .3, 1e-9);
+}
+
+// Its bake ends after the file no longer has it.
+TEST(SceneKeeper, AnObjectThatLeavesTheFileWhileItIsBakedDoesNotCome) {
+  Running r;
+  PENUMBRA_NEED_GL(r.pipeline);
+  r.start(on_a_floor({box("a", 0)}));
+  const auto read_anew = [&](const runtime::Scene& now) {
+    const SceneFile last = r.control.file();
+    r.control.follow_file(last, now, apply_scene(r.shown, last.scene, now, r.control));
+  };
+  auto slow = box("b", .5);
+  slow.asset = "builtin:knot";
+  read_anew(on_a_floor({box("a", 0), slow}));
+  read_anew(on_a_floor({box("a", 0)}));
+  r.settle();
+  EXPECT_TRUE(r.state("a"));
+  EXPECT_FALSE(r.state("b"));
 }
 
 }  // namespace

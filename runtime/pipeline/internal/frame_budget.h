@@ -22,7 +22,7 @@ class FrameBudget {
   /// 0..kAll. One fewer as soon as a window's median frame took longer than it may. The window is
   /// short when their number has just changed, and frames of a light that does not follow yet do
   /// not count. One more when the last one that went would fit again by what it cost then, after a
-  /// wait that doubles with every light that goes.
+  /// wait that doubles with every light that goes. All again where there are fewer for a while.
   int max_lights() const { return allowed_; }
 
  private:
@@ -30,11 +30,13 @@ class FrameBudget {
   static constexpr double kRoom = .85;            // of the period, before a light comes back
   static constexpr int kShortestWait = 4, kLongestWait = 1024;  // windows
   static constexpr int kQuietWaits = 16;    // waits without a loss: the next one is shorter
+  static constexpr int kUnused = 8;         // windows with fewer lights than it allows
   static constexpr double kCostDecay = .8;  // of a cost, after each wait that it forbade
 
   void decide(double median_ms);
   void give_one_up(double median_ms);
   void take_one_back(double median_ms);
+  void allow_all();
 
   double period_ms_;
   int allowed_ = kAll;
@@ -45,7 +47,7 @@ class FrameBudget {
   bool even_ = true;                     // as many lights in all frames of the window
   std::optional<double> with_ms_;        // what a frame took with the light that went
   std::optional<double> light_cost_ms_;  // of that light, once known
-  int wait_ = 0, next_wait_ = kShortestWait, quiet_ = 0;  // windows
+  int wait_ = 0, next_wait_ = kShortestWait, quiet_ = 0, unused_ = 0;  // windows
 };
 
 }  // namespace penumbra::runtime

@@ -20,41 +20,63 @@
 
 namespace penumbra::service {
 
-/// The newest frame as JPEG, encoded once however many clients ask.
-class FrameJpeg {
- public:
-  Result<std::shared_ptr<const std::string>> of(const std::shared_ptr<const FramePixels>& frame);
-
- private:
-  std::mutex mutex_;
-  std::shared_ptr<const FramePixels> frame_;
-  std::shared_ptr<const std::string> bytes_;
+/// A file that clients read.
+struct EncodedFile {
+  TimestampNs time;  // of the capture
+  std::shared_ptr<const std::string> bytes;
 };
 
-/// The newest environment map as JPEG with a gain map, made once however many clients ask. What its
-/// base is adapted to follows the light as an eye does, so that a row of them does not flicker.
-class EnvironmentJpeg {
+/// The newest of something as a file, encoded once however many clients ask, and by one of them at
+/// a time. Who waited for that gets the newer one.
+template <class Source>
+class NewestFile {
  public:
-  Result<std::shared_ptr<const std::string>> of(const std::shared_ptr<const Environment>& map);
+  template <class Encode>  // Result<std::string>(const Source&)
+  Result<EncodedFile> of(const std::shared_ptr<const Source>& source, TimestampNs time,
+                         const Encode& encode) {
+    constexpr Seconds kOvertaken(1);  // further back a capture began anew
+    const std::scoped_lock lock(mutex_);
+    const Seconds step = source_ ? time - file_.time : Seconds(0);
+    if (source_ == source || (step < Seconds(0) && step > -kOvertaken)) return file_;
+    PENUMBRA_ASSIGN(bytes, encode(*source));
+    file_ = {time, std::make_shared<const std::string>(std::move(bytes))};
+    source_ = source;
+    return file_;
+  }
 
  private:
   std::mutex mutex_;
-  tone::TemporalTone tone_{{.op = tone::ToneOperator::kPhotographic}};
-  std::shared_ptr<const Environment> map_;
-  std::shared_ptr<const std::string> bytes_;
+  std::shared_ptr<const Source> source_;
+  EncodedFile file_;
 };
 
-/// The same as a cube.
-class EnvironmentCube {
+using FramePointer = std::shared_ptr<const FramePixels>;
+class FrameFiles {
  public:
-  static constexpr int kEdge = 128;  // texels
-  Result<std::shared_ptr<const std::string>> of(const std::shared_ptr<const Environment>& map);
+  Result<EncodedFile> jpeg(const FramePointer& frame, TimestampNs time);
+  Result<EncodedFile> png(const FramePointer& frame, TimestampNs time);
 
  private:
-  std::mutex mutex_;
-  std::optional<lighting::CubeMap> cube_;  // of the last map's size
-  std::shared_ptr<const Environment> map_;
-  std::shared_ptr<const std::string> bytes_;
+  NewestFile<FramePixels> jpeg_, png_;
+};
+
+/// The environment map. What the base of its JPEG with a gain map is adapted to follows the light
+/// as an eye does, so that a row of them does not flicker.
+using MapPointer = std::shared_ptr<const Environment>;
+class EnvironmentFiles {
+ public:
+  static constexpr int kCubeEdge = 128;  // texels
+
+  Result<EncodedFile> jpeg(const MapPointer& map);
+  Result<EncodedFile> cube(const MapPointer& map);
+  Result<EncodedFile> exr(const MapPointer& map);
+  Result<EncodedFile> hdr(const MapPointer& map);
+
+ private:
+  NewestFile<Environment> jpeg_, cube_, exr_, hdr_;
+  tone::TemporalTone tone_{{.op = tone::ToneOperator::kPhotographic}};  // in the lock of jpeg_
+  TimestampNs toned_;                                                   // as well
+  std::optional<lighting::CubeMap> faces_;  // of the last map's size; in the lock of cube_
 };
 
 /// Stage times, ranked once a second, however many clients ask.
@@ -77,9 +99,8 @@ struct HttpContext {
       : options(its_options), sources(its_sources), stages(its_sources.times) {}
   const HttpOptions options;
   const HttpSources sources;
-  FrameJpeg jpeg;
-  EnvironmentJpeg environment_jpeg;
-  EnvironmentCube environment_cube;
+  FrameFiles frame_files;
+  EnvironmentFiles environment_files;
   RecentStages stages;
   std::atomic<bool> stopping = false;
   std::atomic<int> streams = 0;
