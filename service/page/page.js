@@ -439,8 +439,8 @@ function niceStep(range, parts) {
   return ten * [1, 2, 5, 10].find((m) => m * ten >= raw * 0.999);
 }
 /** Grid and labels of a plot from zero up. Returns where a value stands. */
-function drawScale({ c, w, h, colour }, top, left, foot) {
-  const step = niceStep(top, 3), end = step * Math.ceil(top / step - 1e-9), head = 22;
+function drawScale({ c, w, h, colour }, top, left, foot, head = 22) {
+  const step = niceStep(top, 3), end = step * Math.ceil(top / step - 1e-9);
   const y = (value) => h - foot - (h - foot - head) * value / end;
   const digits = Math.max(0, -Math.floor(Math.log10(step) + 1e-9));
   c.textAlign = "right";
@@ -454,18 +454,29 @@ function drawScale({ c, w, h, colour }, top, left, foot) {
 }
 const kMinutes = 5, history = [];
 let histogram = null;
+/** Where the names of lines stand, in as many rows as they need. */
+function legendPlaces({ c, w }, names, left) {
+  let x = left, y = 8;
+  return names.map((name) => {
+    const wide = 23 + c.measureText(name).width;
+    if (x > left && x + wide > w) x = left, y += 15;
+    const place = { x, y };
+    x += wide + 12;
+    return place;
+  });
+}
 /** lines: [{name, of: (sample) => number or null}], the newest sample at the right. */
 function plot(id, lines, words) {
   const area = surface($(id)), { c, w, h, colour } = area, now = performance.now(), left = 40, foot = 20;
   const known = lines.flatMap((line) => history.map(line.of).filter((v) => v != null));
-  const y = drawScale(area, known.length ? Math.max(...known, 0.01) * 1.05 : 1, left, foot);
+  const legend = legendPlaces(area, lines.map((line) => line.name), left);
+  const y = drawScale(area, known.length ? Math.max(...known, 0.01) * 1.05 : 1, left, foot, legend.at(-1).y + 14);
   const x = (t) => w - 4 - (w - left - 4) * (now - t) / (kMinutes * 60000);
   c.fillStyle = colour("quiet");
   for (const minute of [4, 2, 0]) {
     c.textAlign = minute ? "center" : "right";
     c.fillText(minute ? `−${minute} min` : "now", x(now - minute * 60000), h - 4);
   }
-  let at = left;
   lines.forEach((line, i) => {
     c.strokeStyle = colour(`series-${i + 1}`);
     c.lineWidth = 1.75;
@@ -479,12 +490,12 @@ function plot(id, lines, words) {
       before = sample.t;
     }
     if (lines.length > 1) {
-      c.moveTo(at, 8);
-      c.lineTo(at + 18, 8);
+      const at = legend[i];
+      c.moveTo(at.x, at.y);
+      c.lineTo(at.x + 18, at.y);
       c.fillStyle = colour("ink");
       c.textAlign = "left";
-      c.fillText(line.name, at + 23, 12);
-      at += 35 + c.measureText(line.name).width;
+      c.fillText(line.name, at.x + 23, at.y + 4);
     }
     c.stroke();
   });
