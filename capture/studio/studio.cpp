@@ -175,14 +175,13 @@ std::vector<Exposure> choose_schedule(const Image<Rgb>& environment, const Senso
   return out;
 }
 
-Studio::Studio(std::shared_ptr<const RadianceWorld> world, StudioOptions options)
+Studio::Studio(const std::shared_ptr<const RadianceWorld>& world, StudioOptions options)
     : options_(std::move(options)),
       view_sensor_(options_.sensor),
-      world_(std::move(world)),
       cameras_(make_cameras(options_)) {
   environment_radiance_ =
-      film_environment(*world_, options_.environment_width, options_.environment_height);
-  view_radiance_ = film_view(*world_, cameras_[kViewCamera]);
+      film_environment(*world, options_.environment_width, options_.environment_height);
+  view_radiance_ = film_view(*world, cameras_[kViewCamera]);
   blur(view_radiance_, options_.sensor.psf_sigma_px);  // once: it stands still
   options_.sensor.psf_sigma_px = view_sensor_.psf_sigma_px = 0;
   options_.sensor.vignetting = 0;

@@ -53,7 +53,8 @@ struct StudioOptions {
 /// The world seen by an environment camera (lat-long, at (0, 1, 0)) and a view camera.
 class Studio : public FrameSource {
  public:
-  Studio(std::shared_ptr<const RadianceWorld> world, StudioOptions options);
+  /// world: is filmed here, and not kept
+  Studio(const std::shared_ptr<const RadianceWorld>& world, StudioOptions options);
   const std::vector<CameraInfo>& cameras() const override { return cameras_; }
   Result<std::optional<Frame>> next() override;
   double view_rate() const override { return options_.view_fps; }
@@ -78,7 +79,6 @@ class Studio : public FrameSource {
 
   StudioOptions options_;
   Sensor view_sensor_;  // of the options, with the white balance of the view camera
-  std::shared_ptr<const RadianceWorld> world_;
   std::vector<CameraInfo> cameras_;
   Image<Rgb> environment_radiance_, view_radiance_;  // with the blur of their cameras
   std::vector<std::shared_ptr<const FramePixels>> environment_clip_, view_clip_;
