@@ -132,15 +132,15 @@ void deform(const Character& c, const CharacterPose& pose, Mesh& out) {
       m += f.weight[k] * bones[f.bone[k]];
     out.positions[i] = glm::vec3(m * glm::vec4(out.positions[i], 1));
     const glm::mat3 linear(m);
-    const glm::vec3 n = cofactors(linear) * out.normals[i];
+    // Of a mirrored node the cofactors point inwards.
+    const float outwards = glm::determinant(linear) < 0 ? -1.f : 1.f;
+    const glm::vec3 n = outwards * (cofactors(linear) * out.normals[i]);
     const float length = glm::length(n);
     // Bones that fold a point's surroundings to nothing leave no normal: any one will do there.
     out.normals[i] = length > 0 ? n / length : glm::vec3(0, 1, 0);
   }
-  if (glm::determinant(glm::mat3(c.frame)) < 0) {
+  if (glm::determinant(glm::mat3(c.frame)) < 0)
     for (auto& t : out.triangles) std::swap(t[1], t[2]);
-    for (glm::vec3& n : out.normals) n = -n;
-  }
 }
 
 std::vector<glm::mat3> bone_turns(const Character& c, const CharacterPose& pose) {

@@ -529,6 +529,34 @@ void DirectLightStage::visible_fractions(std::size_t source, std::size_t object,
     const float fraction = lit.empty() ? cosine[v] / open : lit[v];
     out[v] = open > kGrazing ? std::clamp(fraction, 0.f, 1.f) : 1;
   }
+  if (!scene_->objects[object].animation) fractions_of_backs(t.source, object, kGrazing, out);
+}
+
+// Of the sides that its normals do not show, where they are seen: sheets.
+void DirectLightStage::fractions_of_backs(const lighting::DistantLight& source, std::size_t object,
+                                          float grazing, std::span<float> out) const {
+  const prt::BakedObject& baked = scene_->objects[object].baked;
+  if (!baked.surface) return;
+  const prt::SurfaceMaterials& surface = *baked.surface;
+  const glm::mat3 turn(poses_[object].rotation_matrix());
+  const glm::vec3 towards(source.direction);
+  prt::Mesh backs;
+  std::vector<std::size_t> vertices;
+  for (std::size_t v = 0; v < std::min(out.size(), baked.mesh.normals.size()); ++v) {
+    const glm::vec3 normal = turn * baked.mesh.normals[v];
+    if (!surface.materials[surface.material[v]].double_sided || glm::dot(normal, towards) > grazing)
+      continue;
+    backs.positions.emplace_back(poses_[object] * glm::dvec3(baked.mesh.positions[v]));
+    backs.normals.push_back(-normal);
+    vertices.push_back(v);
+  }
+  if (vertices.empty()) return;
+  shadows::DirectLightAtVertices light;
+  shadows::trace_direct_light_at_vertices(rays(), backs, source, sampling_.object, light);
+  for (std::size_t i = 0; i < vertices.size(); ++i) {
+    const float taken = light.virtual_occlusion[i] + light.real_occlusion[i];
+    out[vertices[i]] = light.open[i] > 0 ? std::clamp(1 - taken / light.open[i], 0.f, 1.f) : 1;
+  }
 }
 
 DirectLightStage::AtVertices DirectLightStage::at_vertices(const prt::Mesh& mesh) const {

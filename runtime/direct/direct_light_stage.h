@@ -83,8 +83,8 @@ class DirectLightStage {
   void add_light(std::size_t object, std::span<float> relit) const;
   /// Of what add_light() adds, the light whose shadow on the object is drawn finer than its mesh.
   std::optional<compositor::EdgedLight> edged_light(std::size_t object) const;
-  /// What of a light (by its place in update()'s list) comes to each vertex of an object, 0..1; 1
-  /// where the surface looks away from it.
+  /// What of a light (by its place in update()'s list) comes to each vertex of an object, 0..1.
+  /// Where the surface looks away from it: to its other side, of what is double-sided; else 1.
   void visible_fractions(std::size_t source, std::size_t object, std::span<float> out) const;
   /// E0 - E at points of real geometry and what is really left there of all distant lights,
   /// relative irradiance.
@@ -128,6 +128,8 @@ class DirectLightStage {
         sampling_(sampling),
         virtual_(std::move(virtual_things)),
         real_(std::move(real_things)) {}
+  void fractions_of_backs(const lighting::DistantLight& source, std::size_t object, float grazing,
+                          std::span<float> out) const;
   shadows::RayOccluders rays() const { return {&virtual_, &real_, near_m_}; }
   shadows::RayOccluders all_rays() const {
     return {&virtual_, &real_, near_m_, passing_ ? &*passing_ : nullptr};

@@ -138,6 +138,7 @@ Result<Pipeline::Impl::NextStage> Pipeline::Impl::prepare_next(
     stage->moves().go_on_from(composite->moves());
     now_s = composite->moves().now_s();
   }
+  stage->await_lifted();
   stage->warm_up();
   if (live) stage->keep_time();
   const lighting::LightEstimate newest = [&] {

@@ -93,10 +93,11 @@ class Pipeline {
   /// errors: kInvalid (size or camera of the frame), kUnavailable (OpenGL ES)
   Result<runtime::Composited> composite(const capture::Frame& view);
 
-  /// Puts an object elsewhere on the plane that it stands on, from the next frame on. Nothing is
-  /// baked for it.
+  /// Puts an object elsewhere on the plane that it stands on, or above it, turned and leaning, from
+  /// the next frame on. Nothing is baked for it. In a live run an object that was not lifted before
+  /// is lit as on its plane for about a second.
   /// threads: any, also during a run
-  /// errors: kNotFound (no such object), kNonFinite, kInvalid (off its plane)
+  /// errors: as runtime::ObjectMoves::put
   Result<void> move_object(std::string_view object, const runtime::ObjectPlace& place);
   /// Takes an object and all that it does to the light out of the picture, or puts it back, from
   /// the next frame on.

@@ -221,8 +221,11 @@ void CompositeStage::place_objects(double seconds) {
     objects_[i].clip_time_s = now.clip_time_s;
     objects_[i].blend_weight = now.blend_weight;
     objects_[i].holds = now.speed == 0;
-    objects_[i].other_stance = objects_[i].lifted_now != now.lifted;
-    objects_[i].lifted_now = now.lifted;
+    // One that is hidden is lit as when it was last seen.
+    if (now.visible) {
+      objects_[i].other_stance |= objects_[i].lifted_now != now.lifted;
+      objects_[i].lifted_now = now.lifted;
+    }
     poses_.push_back(now.world_from_bake);
     floors_.push_back(now.world_from_floor);
     compositor_->show(objects_[i].handle, now.visible);
@@ -466,6 +469,7 @@ bool CompositeStage::update_object(std::size_t index, const std::vector<Pose>& p
   }
   o.light_used = light;
   o.residual_used = residual;
+  o.other_stance = false;
   o.renewed = true;
   return true;
 }

@@ -119,6 +119,8 @@ class CompositeStage {
   /// Of the same cameras, with another scene: what stands in front of that one's next frame stands
   /// in front of this one's.
   void go_on_from(const CompositeStage& before) { foreground_.go_on_from(before.foreground_); }
+  /// What is lifted or leans has its own transfer from the first frame on. Takes a second for each.
+  void await_lifted();
   compositor::Compositor& output() { return *compositor_; }
   /// From then on another thread may use it, the only one then.
   void release() { compositor_->release(); }
@@ -171,7 +173,7 @@ class CompositeStage {
     const PreparedObject* prepared;
     int handle;
     bool lifted_now = false;           // ObjectNow::lifted
-    bool other_stance = false;         // over its floor, than in the last update
+    bool other_stance = false;         // over its floor, than it was last lit for
     std::unique_ptr<Lifted> lifted{};  // once it was
     bool visible = true;
     double clip_time_s = 0;

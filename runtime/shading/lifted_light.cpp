@@ -29,6 +29,14 @@ void CompositeStage::begin_lifted(StageObject& o) {
     o.lifted->free = std::make_shared<FreeTransfer>(baked.mesh, baked.transfer.bands);
 }
 
+void CompositeStage::await_lifted() {
+  for (std::size_t i = 0; i < objects_.size(); ++i) {
+    if (!moves_.is_lifted(i)) continue;
+    begin_lifted(objects_[i]);
+    objects_[i].lifted->free->wait();
+  }
+}
+
 // What is new of objects that are off their floor or lean. A run that does not keep time has their
 // transfer at once, so that its pictures are the same on every machine.
 void CompositeStage::look_at_lifted() {
@@ -45,8 +53,8 @@ void CompositeStage::look_at_lifted() {
       lifted.to_bake = lighting::ShRotation(glm::transpose(turn), prt::kReflectedBands);
       o.other_stance = true;
     }
-    if (lifted.free->ready() != std::exchange(lifted.used_free, lifted.free->ready()))
-      o.other_stance = true;
+    const bool ready = lifted.free->ready();
+    if (ready != std::exchange(lifted.used_free, ready)) o.other_stance = true;
   }
 }
 

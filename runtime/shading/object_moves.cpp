@@ -24,7 +24,8 @@ constexpr std::string_view kHeader = "time_s,object,x_m,y_m,z_m,turn_deg",
                            kLeaningHeader =
                                "time_s,object,x_m,y_m,z_m,turn_deg,lean_deg,lean_towards_deg";
 constexpr std::size_t kColumns = 6, kLeaningColumns = 8;
-constexpr double kLifted_m = .01;       // nearer to its plane an object stands on it
+constexpr double kLifted_m = .01;       // nearer to its plane an object is lit as it stands on it
+constexpr double kLifted = .04;         // or so much of its radius
 constexpr double kLeans_rad = 1e-3;     // what leans by less stands upright
 constexpr double kFarthest_m = 10'000;  // as in a scene's file
 
@@ -171,16 +172,17 @@ Result<void> ObjectMoves::check(std::size_t object, const ObjectPlace& place) co
   return {};
 }
 
-// In the frame in which it is baked: about its middle, at the height that it had. What stands on no
-// plane keeps its middle where it is.
-Pose ObjectMoves::leaning(std::size_t object, const ObjectPlace& place) const {
+// After a turntable's turn, in the frame in which it is baked: about its middle, at the height that
+// it had. What stands on no plane keeps its middle where it is. A turntable's axis leans with it.
+Pose ObjectMoves::leaning(std::size_t object, const ObjectPlace& place, const Pose& spun) const {
   const Resting& o = resting_[object];
-  const glm::dquat turn = turn_of_lean(place);
-  Pose out{turn, o.centre_m - turn * o.centre_m};
+  const glm::dquat lean = turn_of_lean(place);
+  const glm::dvec3 middle = spun * o.centre_m;
+  Pose out = Pose{lean, middle - lean * middle} * spun;
   if (!o.on_plane) return out;
   const prt::BakedObject& baked = scene_.objects[object].baked;
   const prt::Mesh& mesh = baked.fine ? baked.fine->mesh : baked.mesh;
-  const glm::vec3 up(glm::conjugate(turn) * glm::dvec3(0, 1, 0));
+  const glm::vec3 up(glm::conjugate(out.rotation) * glm::dvec3(0, 1, 0));
   float upright = HUGE_VALF, now = HUGE_VALF;
   for (const glm::vec3& p : mesh.positions) {
     upright = std::min(upright, p.y);
@@ -191,19 +193,19 @@ Pose ObjectMoves::leaning(std::size_t object, const ObjectPlace& place) const {
 }
 
 ObjectMoves::ObjectPoses ObjectMoves::pose_at(std::size_t object, const ObjectPlace& place,
-                                         double turntable_s) const {
+                                              double turntable_s) const {
   const Resting& o = resting_[object];
   const glm::dvec3 normal = o.world_from_bake.rotation * glm::dvec3(0, 1, 0);
-  const double off = o.on_plane ? off_plane(o.world_from_bake, place.position_m) : 0;
+  const double off = o.on_plane ? std::max(0., off_plane(o.world_from_bake, place.position_m)) : 0;
   const Pose turn{glm::angleAxis(place.turn_rad, glm::dvec3(0, 1, 0)), {0, 0, 0}};
   // A turntable turns it about its own axis, as from the scene's pose.
   const Pose spun = o.world_from_bake.inverse() * scene_.objects[object].pose_at(turntable_s);
-  const Pose floor =
-      Pose{o.world_from_bake.rotation, place.position_m - off * normal} * turn * spun;
-  ObjectPoses out{floor, floor};
-  if (leans(place)) out.world_from_bake = floor * leaning(object, place);
-  if (off > kLifted_m) out.world_from_bake.translation += off * normal;
-  out.lifted = o.on_plane && !(out.world_from_bake == floor);
+  const double foot = o.on_plane ? off_plane(o.world_from_bake, place.position_m) : 0;
+  const Pose upright = Pose{o.world_from_bake.rotation, place.position_m - foot * normal} * turn;
+  ObjectPoses out{upright * spun, upright * spun};
+  if (leans(place)) out.world_from_bake = upright * leaning(object, place, spun);
+  out.world_from_bake.translation += off * normal;
+  out.lifted = o.on_plane && (leans(place) || off > std::min(kLifted_m, kLifted * o.radius_m));
   if (!o.on_plane) out.world_from_floor = out.world_from_bake;
   return out;
 }
@@ -309,7 +311,7 @@ ObjectPlace ObjectMoves::place_at(std::size_t object, double seconds) const {
 
 // In the lock.
 ObjectMoves::ObjectPoses ObjectMoves::placed(std::size_t object, double seconds,
-                                        double turntable_s) const {
+                                             double turntable_s) const {
   if (places_[object].empty()) {
     const Pose here = scene_.objects[object].pose_at(turntable_s);
     return {here, here};
@@ -322,6 +324,11 @@ double ObjectMoves::now_s() const {
   return now_s_;
 }
 
+bool ObjectMoves::is_lifted(std::size_t object) const {
+  const std::scoped_lock lock(mutex_);
+  return visible_[object] && placed(object, now_s_, playing_[object].clip_time_at(now_s_)).lifted;
+}
+
 std::vector<ObjectState> ObjectMoves::states() const {
   const std::scoped_lock lock(mutex_);
   std::vector<ObjectState> out;
@@ -332,6 +339,7 @@ std::vector<ObjectState> ObjectMoves::states() const {
     now.place =
         places_[i].empty() ? ObjectPlace{o.world_from_bake.translation, 0} : place_at(i, now_s_);
     now.visible = visible_[i] != 0;
+    now.on_plane = o.on_plane;
     if (o.on_plane) now.height_m = std::max(0., off_plane(o.world_from_bake, now.place.position_m));
     now.lifts = !o.has_clip;
     now.plays = o.plays;
@@ -341,7 +349,8 @@ std::vector<ObjectState> ObjectMoves::states() const {
     now.normal = o.world_from_bake.rotation * glm::dvec3(0, 1, 0);
     const ObjectPoses here = placed(i, now_s_, playing_[i].clip_time_at(now_s_));
     now.world_from_bake = here.world_from_bake;
-    now.forward = here.world_from_floor.rotation * glm::dvec3(0, 0, 1);
+    now.forward = o.world_from_bake.rotation *
+                  (glm::angleAxis(now.place.turn_rad, glm::dvec3(0, 1, 0)) * glm::dvec3(0, 0, 1));
     now.centre_m = now.world_from_bake * o.centre_m;
     now.radius_m = o.radius_m;
     out.push_back(std::move(now));
@@ -358,6 +367,9 @@ std::optional<ObjectPlace> ObjectMoves::carried(std::size_t object, const Restin
   const glm::dquat turn =
       glm::normalize(glm::conjugate(o.world_from_bake.rotation) * before.world_from_bake.rotation);
   if (std::abs(turn.x) > kSame || std::abs(turn.z) > kSame) return std::nullopt;
+  const double height = off_plane(o.world_from_bake, place.position_m),
+               was = off_plane(before.world_from_bake, place.position_m);
+  if (o.on_plane && std::abs(height - was) > kSame) return std::nullopt;
   place.turn_rad += 2 * std::atan2(turn.y, turn.w);
   return check(object, place) ? std::optional(place) : std::nullopt;
 }

@@ -40,13 +40,14 @@ struct ObjectState {
   std::string name;
   ObjectPlace place;
   bool visible = true;
-  double height_m = 0;            // of its place over its plane
+  bool on_plane = true;           // it stands on one, or over it
+  double height_m = 0;            // of its place over where its bake stands
   bool lifts = true;              // it may be lifted and leaned: it has no clip
   bool plays = false;             // a clip or a turntable
   double speed = 1;               // of that
   glm::dvec3 rest_position_m{0};  // where its scene has it
   glm::dvec3 normal{0, 1, 0};     // of the plane that it stands on
-  glm::dvec3 forward{0, 0, 1};    // its own z as turned, before it leans
+  glm::dvec3 forward{0, 0, 1};    // its own z as turned, before it leans and spins
   Pose world_from_bake;           // with its turntable's turn
   glm::dvec3 centre_m{0};         // of a sphere around it
   double radius_m = 0;
@@ -75,7 +76,7 @@ class ObjectMoves {
   explicit ObjectMoves(const PreparedScene& scene);
   /// In effect with the next frame, until another place or track comes. A turntable goes on
   /// turning.
-  /// A place within a centimetre of the plane is on it.
+  /// Within a centimetre of the plane, or .04 of its radius, an object is lit as on it.
   /// errors: kNotFound (no such object: says which there are), kNonFinite, kInvalid (below the
   ///         plane; over 10,000 m away; an object with a clip that is lifted or leans)
   Result<void> put(std::string_view object, const ObjectPlace& place);
@@ -93,7 +94,7 @@ class ObjectMoves {
     // Of one that is not, so far below its plane that it takes part in nothing
     Pose world_from_bake;
     Pose world_from_floor;      // where it would be as its bake has it: on its plane, upright
-    bool lifted;                // the two differ
+    bool lifted;                // it leans, or is so high that it is lit as such
     double clip_time_s, speed;  // of its clip and turntable
     std::optional<float> blend_weight;  // nothing: as the scene has it
   };
@@ -103,6 +104,8 @@ class ObjectMoves {
   double now_s() const;
   /// As at() last gave them, with what was asked for since.
   std::vector<ObjectState> states() const;
+  /// Whether it is lifted or leans where at() last had it.
+  bool is_lifted(std::size_t object) const;
   /// Objects that were there before, by name and instance, stay where they are and go on with what
   /// they do. One that stands on another plane now begins as its own scene has it.
   void go_on_from(const ObjectMoves& before);
@@ -136,7 +139,7 @@ class ObjectMoves {
   };
   ObjectPoses pose_at(std::size_t object, const ObjectPlace& place, double turntable_s) const;
   ObjectPoses placed(std::size_t object, double seconds, double turntable_s) const;
-  Pose leaning(std::size_t object, const ObjectPlace& place) const;
+  Pose leaning(std::size_t object, const ObjectPlace& place, const Pose& spun) const;
   ObjectPlace place_at(std::size_t object, double seconds) const;
   std::optional<ObjectPlace> carried(std::size_t object, const Resting& before,
                                      ObjectPlace place) const;

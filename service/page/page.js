@@ -152,6 +152,11 @@ function moveBy(o, x, y) {
   const across = unit(flat), away = cross(o.normal, across);
   change(o.name, { position_m: add(o.position_m, add(scale(across, x), scale(away, y))) });
 }
+/** Its direction forward when it is turned further. */
+function turned(o, deg) {
+  const side = cross(o.normal, o.forward), by = radians(deg);
+  return add(scale(o.forward, Math.cos(by)), scale(side, Math.sin(by)));
+}
 /** In degrees, the way that the camera looks; what it leans already counts. */
 function leanBy(o, deg) {
   const look = camera ? cross(o.normal, camera.right) : o.forward, side = cross(o.normal, o.forward);
@@ -276,8 +281,9 @@ function pointerMove(event) {
   if (!drag.moved) return;
   $("stage").classList.add("dragging");
   if (drag.turns) {
-    turnBy({ ...drag.from, name: drag.name }, by[0] * 0.5);
-    if (drag.from.lifts && Math.abs(by[1]) > 10) leanBy(drag.from, by[1] * -0.5);
+    turnBy(drag.from, by[0] * 0.5);
+    const beyond = Math.sign(by[1]) * Math.max(0, Math.abs(by[1]) - 10);
+    if (drag.from.lifts) leanBy({ ...drag.from, forward: turned(drag.from, by[0] * 0.5) }, beyond * -0.5);
     return;
   }
   const to = onPlane(camera, rayThrough(camera, add(pixelUnder(event), drag.offset)), drag.point, drag.from.normal);

@@ -296,7 +296,13 @@ Result<void> SceneControl::change(std::string_view object, const ObjectChange& c
   const auto before = find(object);
   runtime::ObjectPlace place = before ? before->place : runtime::ObjectPlace{};
   if (change.position_m) place.position_m = *change.position_m;
-  if (change.shift_m && before) place.position_m = before->rest_position_m + *change.shift_m;
+  if (change.shift_m && before) {
+    constexpr double kSame_m = 1e-6;
+    if (before->on_plane && std::abs(glm::dot(*change.shift_m, before->normal)) > kSame_m)
+      return fail(ErrorCode::kInvalid, fmt::format("object \"{}\"", object),
+                  "is shifted off its plane");
+    place.position_m = before->rest_position_m + *change.shift_m;
+  }
   if (change.turn_deg) place.turn_rad = *change.turn_deg * kDegree;
   if (change.lean_deg) place.lean_rad = *change.lean_deg * kDegree;
   if (change.lean_towards_deg) place.lean_towards_rad = *change.lean_towards_deg * kDegree;

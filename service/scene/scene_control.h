@@ -22,7 +22,7 @@ namespace penumbra::service {
 /// What is not given stays as it is.
 struct ObjectChange {
   std::optional<glm::dvec3> position_m{};  // on the plane that the object stands on, or above it
-  std::optional<glm::dvec3> shift_m{};     // or so far from where the scene has it
+  std::optional<glm::dvec3> shift_m{};     // or so far from where the scene has it, on the plane
   std::optional<double> turn_deg{};        // about the plane's normal, from how the scene has it
   std::optional<double> lean_deg{}, lean_towards_deg{};  // as runtime::ObjectPlace
   std::optional<bool> visible{};

@@ -252,6 +252,11 @@ TEST(CharacterImport, AMirroredNodeThatMovesItselfStandsUpright) {
     const Mesh mesh = mesh_at(*c, 0, .5);
     EXPECT_LT(glm::distance(mesh.positions[1], at), 1e-4f) << scale;
     EXPECT_LT(glm::distance(mesh.positions[2], {2, 1, 0}), 1e-4f) << scale;
+    const auto& t = mesh.triangles[0];
+    const glm::vec3 outside = glm::normalize(glm::cross(
+        mesh.positions[t[1]] - mesh.positions[t[0]], mesh.positions[t[2]] - mesh.positions[t[0]]));
+    for (const glm::vec3& n : mesh.normals)
+      EXPECT_LT(glm::distance(n, outside), 1e-4f) << "lit from outside: " << scale;
   }
 }
 

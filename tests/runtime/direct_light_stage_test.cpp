@@ -81,6 +81,60 @@ TEST(DirectLightStage, ObjectsThatMoveRenewAllThatTheyReach) {
   EXPECT_GE(shaded, 1) << "one of the places is before the sun";
 }
 
+// A cloth before the sun, seen from its dark side's back: the sun shines on that, but for a ball's
+// shadow.
+TEST(DirectLightStage, TheOtherSideOfASheetIsShaded) {
+  PreparedScene scene = two_balls();
+  prt::BakedObject& sheet = scene.objects[1].baked;
+  prt::Mesh mesh;
+  constexpr int kSide = 21;
+  for (int y = 0; y < kSide; ++y)
+    for (int z = 0; z < kSide; ++z) {
+      mesh.positions.emplace_back(0, .05f * float(y), .05f * float(z - kSide / 2));
+      mesh.normals.emplace_back(-1, 0, 0);
+      mesh.albedo.push_back({.5f, .5f, .5f});
+    }
+  for (std::uint32_t y = 0; y + 1 < kSide; ++y)
+    for (std::uint32_t z = 0; z + 1 < kSide; ++z) {
+      const std::uint32_t a = y * kSide + z, b = a + kSide;
+      mesh.triangles.push_back({a, b, a + 1});
+      mesh.triangles.push_back({a + 1, b, b + 1});
+    }
+  prt::BakeOptions bake;
+  bake.rays = bake.ground_rays = 64;
+  bake.bounces = 0;
+  bake.receiver = prt::Receiver{prt::fit_ground_grid(mesh, 0, 32), {.4f, .4f, .4f}};
+  auto baked = prt::bake(std::move(mesh), bake);
+  ASSERT_TRUE(baked) << baked.error().detail;
+  sheet = std::move(*baked);
+  prt::SurfaceMaterials surface;
+  surface.materials = {{.double_sided = true}};
+  surface.material.assign(sheet.mesh.positions.size(), 0);
+  sheet.surface = std::make_shared<const prt::SurfaceMaterials>(std::move(surface));
+  auto stage = DirectLightStage::create(scene, {});
+  ASSERT_TRUE(stage);
+  // The ball stands between the sheet and the sun.
+  stage->set_pose(0, {{1, 0, 0, 0}, {.6, .35, 0}});
+  stage->update(std::vector{sun(0)}, 1, OcclusionProbes(scene));
+  std::vector<float> open(sheet.mesh.positions.size());
+  stage->visible_fractions(0, 1, open);
+  int shaded = 0, lit = 0;
+  const dvec3 ball(.6, .55, 0), towards = sun(0).direction;
+  for (std::size_t v = 0; v < open.size(); ++v) {
+    const dvec3 from = ball - dvec3(sheet.mesh.positions[v]);
+    const double past = glm::length(from - glm::dot(from, towards) * towards);
+    if (past < .17) {
+      EXPECT_LT(open[v], .05f);
+      ++shaded;
+    } else if (past > .23) {
+      EXPECT_GT(open[v], .95f);
+      ++lit;
+    }
+  }
+  EXPECT_GT(shaded, 10);
+  EXPECT_GT(lit, 100);
+}
+
 // The light that is drawn apart is a part of what the vertices get, however lights change: never
 // more than that, and all of it where no edge is near.
 TEST(DirectLightStage, EdgedLightIsAPartOfTheVerticesLight) {

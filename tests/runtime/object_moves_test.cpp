@@ -146,6 +146,26 @@ TEST_F(MovedObjects, LiftedAndPutBackLookAsBefore) {
   EXPECT_LT(different(standing, settled({there}), 3), 20u);
 }
 
+// What it was lit for when it was hidden is not what it comes back to.
+TEST_F(MovedObjects, HiddenWhileLiftedAndPutBackItStandsInTheLightThere) {
+  const glm::dvec3 there(-.1, 0, .1), up(-.1, .15, .1);
+  auto live = pipeline(scene_of({thing("moved", there)}));
+  PENUMBRA_NEED_GL(live);
+  ASSERT_TRUE(live) << live.error().detail;
+  const auto settled = [&] {
+    for (std::size_t i = 0; i < 4; ++i) drawn(*live, i);
+    return drawn(*live, 4);
+  };
+  const Image<Rgb8> standing = settled();
+  ASSERT_TRUE(live->move_object("moved", {up, 0, 2.5, .7}));
+  EXPECT_GT(different(standing, settled(), 8), 200u);
+  ASSERT_TRUE(live->show_object("moved", false));
+  settled();
+  ASSERT_TRUE(live->move_object("moved", {there}));
+  ASSERT_TRUE(live->show_object("moved", true));
+  EXPECT_LT(different(standing, settled(), 3), 20u);
+}
+
 TEST_F(MovedObjects, ATrackIsFollowedByTheFramesTimes) {
   const glm::dvec3 a(-.3, 0, .1), b(.3, 0, 0);
   auto tracked = pipeline(scene_of({thing("walker", a)}));
@@ -291,7 +311,7 @@ TEST(ObjectMoves, BadPlacesAreRefusedAndChangeNothing) {
     EXPECT_EQ(moves.follow({{{1, "cup", {}}, {second, "cup", {}}}}).error().code,
               ErrorCode::kInvalid);
   EXPECT_EQ(moves.at(0, 0).world_from_bake, before);
-  EXPECT_TRUE(moves.put("cup", {{1, .002, -2}, .5}));
+  EXPECT_TRUE(moves.put("cup", {{1, -.002, -2}, .5}));
   EXPECT_NEAR(moves.at(0, 0).world_from_bake.translation.x, 1, 1e-12);
   EXPECT_NEAR(moves.at(0, 0).world_from_bake.translation.y, 0, 1e-12) << "on its plane";
 }
@@ -340,6 +360,55 @@ TEST(ObjectMoves, LiftAndLeanOverTheFloor) {
   ASSERT_TRUE(moves.put("cup", {{0, 0, 0}, 0}));
   EXPECT_FALSE(moves.at(0, 2).lifted);
   EXPECT_EQ(moves.at(0, 2).world_from_bake, scene->objects[0].world_from_bake);
+}
+
+// It lands without a jump, and is lit as it stands near its plane.
+TEST(ObjectMoves, TheLastCentimetreIsDrawn) {
+  const auto scene = prepared(scene_of({thing("cup", {0, 0, 0})}));
+  ObjectMoves moves(*scene);
+  for (const double height : {.02, .012, .004, .001, 0.}) {
+    ASSERT_TRUE(moves.put("cup", {{.3, height, .1}, .5}));
+    const ObjectMoves::ObjectNow now = moves.at(0, 1);
+    EXPECT_NEAR(now.world_from_bake.translation.y - now.world_from_floor.translation.y, height,
+                1e-12);
+    EXPECT_EQ(now.lifted, height > .01) << height;
+  }
+}
+
+// One leaning turntable does not stagger: its axis leans.
+TEST(ObjectMoves, ATurntableThatLeansTurnsAboutItsOwnAxis) {
+  SceneObject o = thing("cup", {0, 0, 0});
+  o.spin_rpm = 10;
+  const auto scene = prepared(scene_of({o}));
+  ObjectMoves moves(*scene);
+  ASSERT_TRUE(moves.put("cup", {{0, .1, 0}, .5, .4, 1.1}));
+  const glm::dvec3 way =
+      glm::angleAxis(.5, glm::dvec3(0, 1, 0)) * glm::dvec3(std::sin(1.1), 0, std::cos(1.1));
+  const glm::dvec3 nose = moves.at(0, 0).world_from_bake.rotation * glm::dvec3(0, 0, 1);
+  for (const double t : {0., 1., 2.5}) {
+    const glm::dquat turn = moves.at(0, t).world_from_bake.rotation;
+    EXPECT_NEAR(glm::dot(turn * glm::dvec3(0, 1, 0), way), std::sin(.4), 1e-9) << t;
+    EXPECT_NEAR(glm::dot(moves.states()[0].forward, glm::dvec3(std::sin(.5), 0, std::cos(.5))), 1,
+                1e-9);
+    if (t > 0) EXPECT_LT(glm::dot(turn * glm::dvec3(0, 0, 1), nose), .9) << "it turns";
+  }
+}
+
+// A scene whose floor is lower, with the object on it: a place on the old floor is none there.
+TEST(ObjectMoves, APlaceGoesOnOnItsOwnPlaneAlone) {
+  const auto scene = prepared(scene_of({thing("cup", {0, 0, 0})}));
+  ObjectMoves moves(*scene);
+  ASSERT_TRUE(moves.put("cup", {{.2, 0, 0}}));
+  Scene lower = scene_of({thing("cup", {0, -.1, 0})});
+  lower.real[0].plane->point.y = -.1;
+  const auto below = prepared(lower);
+  ObjectMoves next(*below);
+  next.go_on_from(moves);
+  EXPECT_NEAR(next.states()[0].height_m, 0, 1e-9);
+  EXPECT_NEAR(next.states()[0].place.position_m.y, -.1, 1e-9);
+  ObjectMoves same(*scene);
+  same.go_on_from(moves);
+  EXPECT_NEAR(same.states()[0].place.position_m.x, .2, 1e-9);
 }
 
 TEST(ObjectMoves, WhatPlaysAClipIsNeitherLiftedNorLeaned) {

@@ -203,6 +203,26 @@ TEST(SceneKeeper, AnotherSceneIsFollowedByItsOwnFile) {
   EXPECT_NEAR(r.state("z")->place.position_m.x, .3, 1e-9);
 }
 
+// Put onto another plane by the file it stands there, with its contact shadow: it is not lifted.
+TEST(SceneKeeper, AnObjectThatTheFilePutsOnAnotherPlaneStandsOnIt) {
+  Running r;
+  PENUMBRA_NEED_GL(r.pipeline);
+  runtime::Scene file = on_a_floor({box("a", 0)});
+  file.real.emplace_back();
+  file.real[1].plane = runtime::RealPlane{};
+  file.real[1].plane->point.y = .3;
+  r.start(file);
+  runtime::Scene edited = file;
+  edited.objects[0].position.y = .3;
+  const SceneFile last = r.control.file();
+  EXPECT_TRUE(apply_scene(r.shown, last.scene, edited, r.control));
+  r.control.follow_file(last, edited, true);
+  r.settle();
+  ASSERT_TRUE(r.state("a"));
+  EXPECT_NEAR(r.state("a")->height_m, 0, 1e-9);
+  EXPECT_NEAR(r.state("a")->place.position_m.y, .3, 1e-9);
+}
+
 // Its bake ends after the file no longer has it.
 TEST(SceneKeeper, AnObjectThatLeavesTheFileWhileItIsBakedDoesNotCome) {
   Running r;

@@ -178,7 +178,7 @@ class Importer {
         uv = {in.mTextureCoords[0][i].x, 1 - in.mTextureCoords[0][i].y};
       if (!std::isfinite(uv.x + uv.y)) uv = {0, 0};
       out_.texture_coordinates.push_back(uv);
-      Rgb a = texture ? albedo * texture->at(uv) : albedo;
+      Rgb a = texture ? albedo * texture->at(in_picture(in, i, uv)) : albedo;
       Rgb tint = albedo;
       if (in.mColors[0]) {
         const Rgb colour{in.mColors[0][i].r, in.mColors[0][i].g, in.mColors[0][i].b};
@@ -189,6 +189,18 @@ class Importer {
       out_.tint.push_back(clamped_albedo(tint, albedo));
     }
     return {};
+  }
+
+  // Where a vertex lies in the picture of its base colour. uv: of the first coordinates
+  glm::vec2 in_picture(const aiMesh& in, unsigned vertex, glm::vec2 uv) const {
+    if (in.mMaterialIndex >= of_file_) return uv;
+    const Texture& map = materials_[in.mMaterialIndex].base_colour_map;
+    const auto set = static_cast<unsigned>(map.set);
+    if (set > 0 && in.HasTextureCoords(set)) {
+      const aiVector3D& at = in.mTextureCoords[set][vertex];
+      if (std::isfinite(at.x + at.y)) uv = {at.x, 1 - at.y};
+    }
+    return map.transform * glm::vec3(uv, 1);
   }
 
   // Assimp takes a white material of a glTF file for none.
