@@ -202,12 +202,28 @@ const Environment* LightEstimator::in_blocks(const Environment& environment) {
   return &in_blocks_;
 }
 
-std::vector<std::size_t> lights_apart(std::span<const DistantLight> lights) {
-  constexpr double kSmall = .05;  // radians
+namespace {
+
+// All of it within twice its radius, which cut_out() takes from the map.
+bool is_compact(const DistantLight& light) {
+  const double least = std::cos(2 * light.radius.value());
+  return std::ranges::all_of(
+      light.shape, [&](const glm::dvec3& d) { return glm::dot(d, light.direction) > least; });
+}
+
+std::vector<std::size_t> compact_below(double radius_rad, std::span<const DistantLight> lights) {
   std::vector<std::size_t> out;
   for (std::size_t i = 0; i < lights.size() && out.size() < kMaxLightsApart; ++i)
-    if (lights[i].shape.empty() && lights[i].radius.value() < kSmall) out.push_back(i);
+    if (lights[i].radius.value() < radius_rad && is_compact(lights[i])) out.push_back(i);
   return out;
+}
+
+}  // namespace
+
+std::vector<std::size_t> lights_apart(const LightEstimate& light) {
+  return compact_below(
+      largest_light_apart_rad(light.reflections ? light.reflections->levels.front().roughness : 0),
+      light.lights);
 }
 
 void LightEstimator::mirror(const SurfaceRoughness& surfaces, float size_factor) {
@@ -236,7 +252,8 @@ void LightEstimator::find_reflections(const Environment& whole_map, bool split,
                                       LightEstimate& out) {
   if (!mirror_) return;
   const std::vector<std::size_t> apart =
-      split ? lights_apart(out.lights) : std::vector<std::size_t>();
+      split ? compact_below(largest_light_apart_rad(mirror_->least_roughness()), out.lights)
+            : std::vector<std::size_t>();
   if (!apart.empty()) mirrored_map_ = whole_map.radiance;
   for (const std::size_t i : apart) cut_out(out.lights[i], mirrored_map_);
   auto map = std::make_shared<ReflectionMap>();

@@ -40,10 +40,10 @@ struct LightEstimate {
   Seconds age(TimestampNs now) const { return now - time; }
 };
 
-/// The lights, by their places in the list, that a mirror shows as discs: the first few of those
-/// that are small and round. All others it shows as the map does.
+/// The lights, by their places in the list, that surfaces mirror as discs: the first few of those
+/// that are compact and smaller than the lobe of any of them. All others they show as the map does.
 inline constexpr std::size_t kMaxLightsApart = 4;
-std::vector<std::size_t> lights_apart(std::span<const DistantLight> lights);
+std::vector<std::size_t> lights_apart(const LightEstimate& light);
 
 }  // namespace penumbra::lighting
 #pragma GCC visibility pop

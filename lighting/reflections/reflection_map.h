@@ -45,6 +45,15 @@ inline bool has_long_lobe(float roughness) {
   return roughness > .15f;
 }
 
+/// A light that is smaller is mirrored apart from the map: its disc before the lobe. So its
+/// highlight has the lobe's own form, also slantwise. Fitted to balls of gold and steel among
+/// lamps.
+/// roughness: of the map's first level
+inline double largest_light_apart_rad(float roughness) {
+  constexpr double kSmall = .05, kOfLobe = 1.8, kLarge = .25;
+  return std::clamp(kOfLobe * double(roughness) * double(roughness), kSmall, kLarge);
+}
+
 /// Roughnesses that a scene's surfaces have, with those of narrower lobes; none at first.
 class SurfaceRoughness {
  public:
@@ -69,6 +78,8 @@ class ReflectionFilter {
   /// size_factor: of all pictures' sides, as far as the smallest and the largest allow
   /// in:          asked: not empty
   explicit ReflectionFilter(const SurfaceRoughness& asked, float size_factor = 1);
+  /// Of its maps' first level.
+  float least_roughness() const { return plans_.front().roughness; }
 
   /// in:  map: lat-long, finite; lights that are drawn as such are not in it
   ///      confidence: 0 where nothing was seen, which `unseen` then tells; empty: all was seen

@@ -27,7 +27,7 @@ compositor::Surroundings MirroredSurroundings::surroundings_of(
   compositor::Surroundings out;
   out.reflections = light.reflections ? light.reflections : from_harmonics(light.light);
   out.light = lighting::whole_light(light);
-  for (const std::size_t i : lighting::lights_apart(light.lights)) {
+  for (const std::size_t i : lighting::lights_apart(light)) {
     const lighting::DistantLight& source = light.lights[i];
     out.lights.push_back({source.direction, source.radius.value(), source.irradiance()});
     const RadianceSh own = lighting::project_distant_light(source, out.light.bands());
@@ -56,7 +56,7 @@ bool MirroredSurroundings::update(const lighting::LightEstimate& light,
     compositor.set_surroundings(now_);
     shown_ = light;
   }
-  const std::vector<std::size_t> apart = lighting::lights_apart(light.lights);
+  const std::vector<std::size_t> apart = lighting::lights_apart(light);
   if (apart.empty()) {
     if (renewed) std::ranges::fill(fractions_, std::vector<std::array<float, 4>>());
     return renewed;

@@ -199,8 +199,11 @@ const GlossyCase kGlossyCases[] = {
       {"rubber", .044, .035},
       {"tiles", .095, .035}}},
     {"box", "room", {{"gold", .055, .13}, {"plastic", .035, .04}}},
-    {"ball", "studio_small_03", {{"gold", .29, .04}, {"plastic", .06, .03}}},
+    {"ball", "studio_small_03", {{"gold", .22, .04}, {"plastic", .02, .03}}},
     {"ball", "venice_sunset", {{"gold", .025, .04}, {"plastic", .06, .03}}},
+    {"ball",
+     "immenstadter_horn",
+     {{"gold", .115, .03}, {"brushed", .07, .03}, {"plastic", .04, .04}}},
 };
 INSTANTIATE_TEST_SUITE_P(Worlds, GlossyGroundTruth, testing::ValuesIn(kGlossyCases),
                          [](const auto& c) {

@@ -295,13 +295,13 @@ TEST(ReflectionMaps, WhatWasNotSeenShowsTheLightThere) {
 }
 
 // A sun over stripes that are finer than a block of the map.
-Environment sun_over_stripes() {
+Environment sun_over_stripes(double radius_rad = .01) {
   Environment out;
   out.radiance = Image<Rgb>(1024, 512);
   for (int y = 0; y < 512; ++y)
     for (int x = 0; x < 1024; ++x) {
       const glm::dvec3 d = latlong_direction(x + .5, y + .5, 1024, 512);
-      const bool sun = glm::dot(d, glm::normalize(glm::dvec3(1, 1, -1))) > std::cos(.01);
+      const bool sun = glm::dot(d, glm::normalize(glm::dvec3(1, 1, -1))) > std::cos(radius_rad);
       const float stripe = x / 2 % 2 == 0 ? .5f : 1.5f;
       out.radiance.at(x, y) = sun ? Rgb{9000, 9000, 9000} : Rgb{stripe, stripe, stripe};
     }
@@ -326,13 +326,45 @@ TEST(ReflectionMaps, LightThatIsReadInBlocksIsMirroredByPixels) {
   }
 }
 
+// A lamp of some degrees is a picture in a mirror, and a disc before a lobe that is wider.
+TEST(ReflectionMaps, ALampIsApartWhereNoSurfaceShowsItsForm) {
+  const Environment room = sun_over_stripes(.06);
+  for (const auto& [smoothest, apart] : {std::pair{.25f, 1U}, {.05f, 0U}}) {
+    LightEstimator estimator({.bands = 3, .filter = false});
+    estimator.mirror(single({smoothest, .5f}));
+    const auto light = estimator.estimate(room);
+    ASSERT_TRUE(light);
+    EXPECT_EQ(lights_apart(*light).size(), apart) << smoothest;
+    float brightest = 0;
+    for (const Rgb& p : light->reflections->levels.back().picture.pixels())
+      brightest = std::max(brightest, p.g);
+    EXPECT_EQ(brightest < 20, apart == 1) << smoothest;
+  }
+}
+
+// A sun behind thin cloud is a blot, which its lobes hide; a tube is none.
+TEST(ReflectionMaps, WhatIsCompactIsApartWhateverItsForm) {
+  for (const bool tube : {false, true}) {
+    LightEstimate light;
+    DistantLight& one = light.lights.emplace_back();
+    one.direction = {0, 0, -1};
+    one.radius = Radians(.02);
+    for (int i = 0; i < DistantLight::kShapePoints; ++i) {
+      const double along = (i + .5) / DistantLight::kShapePoints - .5;
+      const glm::dvec3 blot(.03 * std::sin(37. * i), .03 * along, -1), line(.16 * along, 0, -1);
+      one.shape.push_back(glm::normalize(tube ? line : blot));
+    }
+    EXPECT_EQ(lights_apart(light).size(), tube ? 0U : 1U);
+  }
+}
+
 TEST(ReflectionMaps, WhatIsMirroredApartIsNotInThem) {
   for (const int step : {1, kMapBlock}) {
     LightEstimator estimator({.bands = 3, .filter = false, .map_step = step});
     estimator.mirror(single({0, .5f}));
     const auto light = estimator.estimate(sun_over_stripes());
     ASSERT_TRUE(light);
-    ASSERT_EQ(lights_apart(light->lights).size(), 1U) << step;
+    ASSERT_EQ(lights_apart(*light).size(), 1U) << step;
     for (const ReflectionMap::RoughnessLevel& level : light->reflections->levels)
       for (const Rgb& p : level.picture.pixels()) EXPECT_LT(p.g, 20) << step;
   }
