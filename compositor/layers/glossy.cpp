@@ -12,6 +12,7 @@
 #include <string_view>
 
 #include "compositor/layers/foreground_textures.h"
+#include "compositor/layers/light_pieces.h"
 #include "core/conventions.h"
 #include "lighting/reflections/ggx.h"
 #include "lighting/reflections/octahedral_map.h"
@@ -557,6 +558,15 @@ void Glossy::set_scene(GLuint program, const GlossyObject& o, const Placed& plac
                glm::value_ptr(irradiances[0]));
 }
 
+void Glossy::set_mirrored_lights(GLuint program, const prt::Material& m) const {
+  const LightPieces pieces(surroundings_.lights, m);
+  constexpr auto kMost = static_cast<GLsizei>(LightPieces::kMost);
+  glUniform1i(uniform(program, "piece_count"), pieces.count);
+  glUniform4fv(uniform(program, "piece_places"), kMost, glm::value_ptr(pieces.places[0]));
+  glUniform3fv(uniform(program, "piece_irradiances"), kMost, glm::value_ptr(pieces.irradiances[0]));
+  glUniform1iv(uniform(program, "piece_lights"), kMost, pieces.lights.data());
+}
+
 void Glossy::set_levels(GLuint program) const {
   constexpr auto kCount = static_cast<GLsizei>(ReflectionMap::kMaxLevels);
   std::array<glm::vec2, ReflectionMap::kMaxLevels> steps{};
@@ -574,6 +584,7 @@ void Glossy::begin_part(const GlossyObject& o, const GlossyObject::Part& part,
   const prt::Material& m = o.surface->materials[part.material];
   const GLuint program = use(features_of(o, part));
   set_scene(program, o, placed);
+  set_mirrored_lights(program, m);
   set_mirrored_floor(program, o, placed.world_from_floor);
   set_mirrored_objects(program, o);
   set_material(m, program);

@@ -117,6 +117,7 @@ class Glossy {
   GLuint sampler_of(const prt::Texture& texture);
   void set_material(const prt::Material& material, GLuint program);
   void set_scene(GLuint program, const GlossyObject& object, const Placed& placed) const;
+  void set_mirrored_lights(GLuint program, const prt::Material& material) const;
   void begin_part(const GlossyObject& object, const GlossyObject::Part& part, const UseProgram& use,
                   const Placed& placed);
   void draw_sorted(const GlossyObject& object, const UseProgram& use, const Placed& placed);

@@ -131,6 +131,11 @@ const int kMaxLights = 4;
 uniform int light_count, edged_light;
 uniform vec4 light_places[4];
 uniform vec3 light_irradiances[4];
+// The same as they are mirrored: some in parts.
+uniform int piece_count;
+uniform vec4 piece_places[8];  // w: sine of the radius
+uniform vec3 piece_irradiances[8];
+uniform int piece_lights[8];
 out vec4 colour;
 
 vec2 place_of(int map) {
@@ -155,14 +160,14 @@ float visibility(float a2, float n_dot_l, float n_dot_v) {
 // mirror is the disc's own radiance.
 vec3 mirrored_lights(vec3 n, vec3 v, float n_dot_v, float alpha, vec3 f0, float f90) {
   vec3 sum = vec3(0);
-  for (int i = 0; i < light_count; ++i) {
-    vec3 l = light_places[i].xyz;
-    float n_dot_l = dot(n, l), fraction = fractions[i];
+  for (int i = 0; i < piece_count; ++i) {
+    vec3 l = piece_places[i].xyz;
+    float n_dot_l = dot(n, l), fraction = fractions[piece_lights[i]];
     if (n_dot_l <= 0.0 || fraction <= 0.0) continue;
-    float a2 = alpha * alpha + 0.25 * light_places[i].w * light_places[i].w;
+    float a2 = alpha * alpha + 0.25 * piece_places[i].w * piece_places[i].w;
     vec3 m = normalize(l + v);
     float grazing = pow(1.0 - clamp(dot(v, m), 0.0, 1.0), 5.0);
-    sum += light_irradiances[i] * (fraction * n_dot_l * density(a2, clamp(dot(n, m), 0.0, 1.0)) *
+    sum += piece_irradiances[i] * (fraction * n_dot_l * density(a2, clamp(dot(n, m), 0.0, 1.0)) *
            visibility(a2, n_dot_l, n_dot_v)) * mix(f0, vec3(f90), grazing);
   }
   return sum;

@@ -562,8 +562,11 @@ Result<void> Layers::draw_on(Canvas& canvas, const View& view, const ViewProject
 namespace {
 
 Result<void> check_gl() {
+  constexpr GLenum kContextLost = 0x0507;  // OpenGL ES 3.2
   const GLenum error = glGetError();
   if (error == GL_NO_ERROR) return {};
+  if (error == kContextLost)
+    return fail(ErrorCode::kUnavailable, "GL", "the context is lost: the driver has begun anew");
   return fail(ErrorCode::kUnavailable, "GL", fmt::format("error 0x{:04x} while drawing", error));
 }
 

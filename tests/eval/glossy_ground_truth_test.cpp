@@ -199,7 +199,7 @@ const GlossyCase kGlossyCases[] = {
       {"rubber", .044, .035},
       {"tiles", .095, .035}}},
     {"box", "room", {{"gold", .055, .13}, {"plastic", .035, .04}}},
-    {"ball", "studio_small_03", {{"gold", .22, .04}, {"plastic", .02, .03}}},
+    {"ball", "studio_small_03", {{"gold", .12, .04}, {"plastic", .01, .03}}},
     {"ball", "venice_sunset", {{"gold", .025, .04}, {"plastic", .06, .03}}},
     {"ball",
      "immenstadter_horn",

@@ -265,6 +265,28 @@ class Faults(OwnDaemons):
         self.assertFalse((self.root / "http.sock").exists())
         self.assertFalse((self.root / "light").exists())
 
+    # Begun anew by systemd it has all it had: what is drawn with is gone with the context.
+    def test_a_lost_gl_context_ends_it_with_the_reason(self):
+        if PATIENCE > 1:
+            self.skipTest("sanitizers want to be the first library")
+        lost = self.root / "lost"
+        daemon = self.started(environment={**self.environment, "PENUMBRA_LOST_GL_WHEN": str(lost),
+                                           "LD_PRELOAD": program().replace("penumbrad", "penumbra_lost_gl.so")})
+        self.assertEqual(daemon.ask("/v1/recording", "POST", {"file": "lost.mkv"})[0], 201)
+        before = daemon.health()["frames"]
+        time.sleep(1.5)
+        shown = daemon.health()["frames"] - before
+        lost.touch()
+        self.assertEqual(daemon.process.wait(timeout=30 * PATIENCE), 2, daemon.said())
+        self.assertIn("GL: the context is lost", daemon.said())
+        done = self.inspect(self.root / "recordings" / "lost.mkv")
+        self.assertEqual(done.returncode, 0, done.stderr)
+        kept = max(c["frames"] for c in json.loads(done.stdout)["cameras"] if c["role"] == "view")
+        self.assertGreaterEqual(kept, shown - 30, "of the recording a second is lost at most")
+        begun = time.monotonic()
+        self.started()
+        print(f"context: ok after {time.monotonic() - begun:.1f} s of another start")
+
     def test_a_bake_without_memory_ends_alone(self):
         if PATIENCE > 1:
             self.skipTest("sanitizers take address space by the terabyte")
