@@ -234,7 +234,7 @@ Result<std::unique_ptr<capture::PosedSource>> with_poses(
     poses = std::move(stream);
   }
   if (!poses) return fail(ErrorCode::kUnavailable, "pose", "has no headset to ask for its poses");
-  return capture::PosedSource::create(std::move(frames), std::move(poses), std::move(movers));
+  return capture::PosedSource::create(std::move(frames), std::move(poses), movers);
 }
 
 }  // namespace penumbra::service
