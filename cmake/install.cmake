@@ -17,7 +17,7 @@ install(DIRECTORY ${penumbra_header_rooms}
         PATTERN runtime/studio EXCLUDE PATTERN runtime/surroundings EXCLUDE
         PATTERN runtime/direct EXCLUDE PATTERN runtime/governor EXCLUDE
         PATTERN runtime/scene/depth_mesh.h EXCLUDE
-        REGEX "runtime/shading/(composite_stage|floor_recovery|mirrored_surroundings|object_memory)\\.h$" EXCLUDE
+        REGEX "runtime/shading/(composite_stage|floor_recovery|free_transfer|mirrored_surroundings|object_memory)\\.h$" EXCLUDE
         REGEX "runtime/pipeline/(runner|stage_access|light_estimation_stage)\\.h$" EXCLUDE)
 # Installed headers include each other as <penumbra/...>: a program may have a core/result.h too.
 list(JOIN penumbra_header_rooms "|" penumbra_room)
