@@ -408,10 +408,11 @@ void Service::end_at_once(const std::optional<Error>& failed) {
 }
 
 Result<void> Service::run() {
+  // Who sees the socket may send a stop.
+  const std::atomic<bool>& stop = catch_stop_signals();
   // The port first: whether it is free should not be learnt after long work, and clients see
   // "starting".
   PENUMBRA_TRY(listen());
-  const std::atomic<bool>& stop = catch_stop_signals();
   const bool follows_head = config_.pose && config_.pose->source == "openxr";
   if (config_.openxr || follows_head) {
     PENUMBRA_ASSIGN(headset, Headset::create(config_.headset));

@@ -93,7 +93,8 @@ void CompositeStage::relight_from_places(
   const prt::Mesh& mesh = o.prepared->baked.mesh;
   const prt::Bounds bounds = prt::bounds_of(mesh);
   const std::size_t stride = out.size() / 3, vertices = mesh.positions.size();
-  std::array<std::vector<float>, LiftedGround::kPlaces> at;
+  thread_local std::array<std::vector<float>, LiftedGround::kPlaces> memory;  // grows once
+  auto& at = memory;
   parallel_for(std::size_t{0}, at.size(), [&](std::size_t k) {
     at[k].resize(out.size());
     prt::relight(o.lifted->free->surface(), o.lifted->to_bake * around[k], at[k]);
@@ -113,7 +114,8 @@ void CompositeStage::relight_from_places(
 
 void CompositeStage::add_own_reflection(const StageObject& o, const RadianceSh& light,
                                         std::span<float> out) {
-  std::vector<float> own(out.size());
+  thread_local std::vector<float> own;  // grows once
+  own.resize(out.size());
   prt::relight(o.lifted->free->reflected(), o.lifted->to_bake * LiftedGround::from_above(light),
                own);
   for (std::size_t i = 0; i < out.size(); ++i) out[i] += own[i];

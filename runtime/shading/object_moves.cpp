@@ -196,12 +196,12 @@ ObjectMoves::ObjectPoses ObjectMoves::pose_at(std::size_t object, const ObjectPl
                                               double turntable_s) const {
   const Resting& o = resting_[object];
   const glm::dvec3 normal = o.world_from_bake.rotation * glm::dvec3(0, 1, 0);
-  const double off = o.on_plane ? std::max(0., off_plane(o.world_from_bake, place.position_m)) : 0;
   const Pose turn{glm::angleAxis(place.turn_rad, glm::dvec3(0, 1, 0)), {0, 0, 0}};
   // A turntable turns it about its own axis, as from the scene's pose.
   const Pose spun = o.world_from_bake.inverse() * scene_.objects[object].pose_at(turntable_s);
-  const double foot = o.on_plane ? off_plane(o.world_from_bake, place.position_m) : 0;
-  const Pose upright = Pose{o.world_from_bake.rotation, place.position_m - foot * normal} * turn;
+  const double above = o.on_plane ? off_plane(o.world_from_bake, place.position_m) : 0,
+               off = std::max(0., above);
+  const Pose upright = Pose{o.world_from_bake.rotation, place.position_m - above * normal} * turn;
   ObjectPoses out{upright * spun, upright * spun};
   if (leans(place)) out.world_from_bake = upright * leaning(object, place, spun);
   out.world_from_bake.translation += off * normal;

@@ -1,5 +1,6 @@
-#include <cstdint>
-#include <span>
+#include "service/http/internal/encoded_files.h"
+
+#include <cstddef>
 #include <string>
 
 #include "codec/codec.h"
@@ -7,7 +8,6 @@
 #include "codec/display.h"
 #include "codec/gain_map_jpeg.h"
 #include "core/io/files.h"
-#include "service/http/internal/context.h"
 #include "service/http/internal/scratch_file.h"
 
 namespace penumbra::service {

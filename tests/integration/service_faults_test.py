@@ -180,7 +180,7 @@ class Faults(OwnDaemons):
         self.addCleanup(process.kill)
         while not (self.root / "http.sock").exists() and process.poll() is None:
             time.sleep(.01)
-        time.sleep(1)  # until it listens for signals; its room takes seconds
+        time.sleep(.2)  # its room takes seconds
         process.send_signal(signal.SIGTERM)
         said = process.communicate(timeout=60 * PATIENCE)[1]
         self.assertEqual(process.returncode, 0, said)
