@@ -175,6 +175,7 @@ class Faults(OwnDaemons):
     def test_a_stop_does_not_wait_for_the_studio(self):
         rig = self.root / "large.toml"
         rig.write_text(self.rig.read_text().replace("width = 128\nheight = 96", "width = 3840\nheight = 2160"))
+        (self.root / "http.sock").unlink(missing_ok=True)  # of a daemon that was killed
         process = subprocess.Popen([program(), "--config", str(rig)], env=self.environment, text=True,
                                    stderr=subprocess.PIPE)
         self.addCleanup(process.kill)
@@ -199,7 +200,8 @@ class Faults(OwnDaemons):
 
     def test_it_outlives_a_lack_of_descriptors(self):
         daemon = self.started(limits=[(resource.RLIMIT_NOFILE, 96)])
-        self.wait_until_ok(daemon)  # what it reads at its start has been read
+        self.wait_until_ok(daemon)
+        self.wait_until_prepared(daemon)  # what it reads at its start has been read
         clients = []
         try:
             for _ in range(200):

@@ -612,6 +612,7 @@ TEST_F(UnseenSun, InTheSceneFileCastsItsShadowIntoThePicture) {
   const test::TempFolder folder;
   Scene scene;
   scene.objects.emplace_back();
+  scene.objects[0].name = "box";
   scene.objects[0].asset = "builtin:box";
   scene.objects[0].place_on_floor = true;
   scene.objects[0].fit_size_m = .4;
@@ -658,7 +659,8 @@ TEST_F(UnseenSun, InTheSceneFileCastsItsShadowIntoThePicture) {
   if (!naive && naive.error().code == ErrorCode::kUnavailable)
     GTEST_SKIP() << "no OpenGL ES 3.1 here: " << naive.error().detail;
   const auto known = shadow_ratio(site());
-  ASSERT_TRUE(naive && known);
+  ASSERT_TRUE(naive) << naive.error().detail;
+  ASSERT_TRUE(known) << known.error().detail;
   std::printf("shadow of a sun that no camera sees: s = %.2f, %.2f without [sun]\n", *known,
               *naive);
   EXPECT_GT(*naive, .8);
