@@ -7,6 +7,7 @@
 #include <charconv>
 #include <cmath>
 #include <glm/vec3.hpp>
+#include <utility>
 
 #include "capture/recording/internal/recording_format.h"
 #include "codec/log/log_luv.h"
@@ -31,14 +32,14 @@ constexpr int kSeenWell = 254, kClipped = 255;
 
 // A map in, a packet out: nothing waits inside. Coarse steps keep the light, as its errors in many
 // pixels cancel, and key maps have finer ones, as all up to the next keep their errors
-// (docs/methods/recordings.md). MD5 sums of each picture tell of damage.
+// (docs/methods/recordings.md). It makes no MD5 sums of its pictures: labels hold faster ones.
 std::string x265_options() {
   constexpr int kQuantiser = 19;
   constexpr double kFinerKeys = 2.8;
   return fmt::format(
       "qp={}:ipratio={}:keyint={}:min-keyint={}:scenecut=0:bframes=0:rc-lookahead=0:"
       "frame-threads=1:pools=none:ref=1:open-gop=0:aq-mode=0:cutree=0:psy-rd=0:psy-rdoq=0:sao=0:"
-      "hash=1:log-level=none",
+      "log-level=none",
       kQuantiser, kFinerKeys, kMapsToKey, kMapsToKey);
 }
 
@@ -95,21 +96,34 @@ std::span<std::uint8_t> levels(const AVFrame& picture, int y) {
   return {picture.data[0] + y * picture.linesize[0], static_cast<std::size_t>(picture.width)};
 }
 
-void fill_seen(const Environment& map, const AVFrame& out) {
-  const int width = out.width;
-  for (int y = 0; y < out.height; ++y) {
-    const auto row = levels(out, y);
-    std::ranges::fill(row, std::uint8_t{kSeenWell});
-    if (map.confidence.empty()) continue;
+void fill_seen(const Environment& map, Image<std::uint8_t>& out) {
+  out.reset(map.radiance.width(), map.radiance.height(), kSeenWell);
+  for (int y = 0; !map.confidence.empty() && y < out.height(); ++y) {
+    const auto row = out.row(y);
     const auto seen = map.confidence.row(y);
     for (std::size_t x = 0; x < row.size(); ++x)
       row[x] = static_cast<std::uint8_t>(
           seen[x] > 0 ? std::clamp(std::lround(seen[x] * kSeenWell), 1L, long{kSeenWell}) : 0);
   }
-  for (const std::uint32_t i : map.clipped) {
-    const auto w = static_cast<std::uint32_t>(width);
-    levels(out, static_cast<int>(i / w))[i % w] = kClipped;
-  }
+  for (const std::uint32_t i : map.clipped) out.pixels()[i] = kClipped;
+}
+
+// Of a picture's codes, so that damage is found that a decoder conceals: both sums of Fletcher (1982)
+// of each row, and FNV-1a over these. An MD5 sum would take as long as all else but the coder.
+std::uint64_t sum_of_codes(const AVFrame& picture) {
+  constexpr std::uint64_t kPrime = 0x100000001b3;
+  std::uint64_t out = 0xcbf29ce484222325;
+  for (int plane = 0; plane < 3; ++plane)
+    for (int y = 0; y < picture.height; ++y) {
+      std::uint32_t sum = 0, by_place = 0, place = 0;
+      for (const std::uint16_t code : codes(picture, plane, y)) {
+        sum += code;
+        by_place += code * ++place;
+      }
+      out = (out ^ sum) * kPrime;
+      out = (out ^ by_place) * kPrime;
+    }
+  return out;
 }
 
 Result<void> encode(AVCodecContext& coder, AVFrame& picture, std::int64_t count, AVPacket& out) {
@@ -120,7 +134,7 @@ Result<void> encode(AVCodecContext& coder, AVFrame& picture, std::int64_t count,
   return {};
 }
 
-// checks: of the sums of decoded pictures, which take a fifth of the time
+// checks: of the checksums in the packets
 Result<AvCodec> open_decoder(const AVCodecParameters& of, int checks) {
   const AVCodec* codec = avcodec_find_decoder(of.codec_id);
   if (!codec)
@@ -211,6 +225,8 @@ Result<MapEncoder> MapEncoder::create(int width, int height, bool global_header)
   PENUMBRA_ASSIGN(decoder, open_decoder(*parameters, AV_EF_EXPLODE));  // of what is whole
   out.decoder_ = std::move(decoder);
   out.decoded_.reset(av_frame_alloc());
+  out.coded_seen_.reset(av_packet_alloc());
+  out.exposed_.reset(width, height);
   return out;
 }
 
@@ -266,14 +282,14 @@ std::vector<MapLabel::Peak> take_peaks(Image<Rgb>& map, double total_sr) {
 
 // What a coded picture loses or gains in all. Slow changes stay below a coder's steps and would be
 // missing in every pixel alike.
-Rgb gains_of(const Image<Rgb>& truth, const AVFrame& decoded, const AVFrame& seen) {
+Rgb gains_of(const Image<Rgb>& truth, const AVFrame& decoded, const Image<std::uint8_t>& seen) {
   glm::dvec3 wanted(0), got(0);
   std::vector<Rgb> row(static_cast<std::size_t>(truth.width()));
   for (int y = 0; y < truth.height(); ++y) {
     codec::rgb_from_log_luv({codes(decoded, 0, y), codes(decoded, 1, y), codes(decoded, 2, y)},
                             row);
     const double solid = latlong_solid_angle(y, truth.width(), truth.height());
-    const auto mask = levels(seen, y);
+    const auto mask = seen.row(y);
     glm::dvec3 wanted_row(0), got_row(0);
     const auto lit = truth.row(y);
     // A part of a row in floats, which keep six digits of so few, and all parts in doubles.
@@ -308,6 +324,7 @@ std::string checksum(std::string_view text) {
 std::string print_map_label(const std::string& row, const MapLabel& label) {
   std::string out =
       row + fmt::format(";{:.6g} {:.6g} {:.6g}", label.gain.r, label.gain.g, label.gain.b);
+  if (label.codes) out += fmt::format(";{:016x}", *label.codes);
   for (const auto& [pixel, radiance] : label.peaks)
     out += fmt::format(";{} {:.5g} {:.5g} {:.5g}", pixel, radiance.r, radiance.g, radiance.b);
   return out + ";" + checksum(out);
@@ -352,9 +369,14 @@ Result<MapLabel> parse_map_label(std::string_view text, double exposure) {
   if (!read_colour(gain.data(), gain.data() + gain.size(), out.gain)) return damaged(gain);
   for (int c = 0; c < 3; ++c)
     if (!(out.gain[c] > .99f / kMaxGain && out.gain[c] < 1.01f * kMaxGain)) return damaged(gain);
-  while (!text.empty()) {
+  for (bool first = true; !text.empty(); first = false) {
     const std::string_view part = next();
     const char* const end = part.data() + part.size();
+    if (first && part.find(' ') == std::string_view::npos) {
+      const auto sum = std::from_chars(part.data(), end, out.codes.emplace(), 16);
+      if (sum.ec != std::errc{} || sum.ptr != end) return damaged(part);
+      continue;
+    }
     MapLabel::Peak peak;
     const auto number = std::from_chars(part.data(), end, peak.pixel);
     if (number.ec != std::errc{} || number.ptr == end ||
@@ -372,10 +394,8 @@ Result<MapLabel> MapEncoder::code(const Environment& map, AVPacket& light, AVPac
         ErrorCode::kInvalid, "light",
         fmt::format("has a map of {} x {} pixels, after maps of {} x {}", map.radiance.width(),
                     map.radiance.height(), picture.width, picture.height));
-  for (AVFrame* const p : {&picture, seen_picture_.get()})
-    if (const int r = av_frame_make_writable(p); r < 0)
-      return fail(ErrorCode::kUnavailable, "light", av_reason(r));
-  exposed_.reset(picture.width, picture.height);
+  if (const int r = av_frame_make_writable(&picture); r < 0)
+    return fail(ErrorCode::kUnavailable, "light", av_reason(r));
   std::ranges::transform(map.radiance.pixels(), exposed_.pixels().begin(), kept);
   MapLabel label{.peaks = take_peaks(exposed_, power_of(exposed_))};
   const double mean = power_of(exposed_) / (4 * kPi) / 3;
@@ -385,15 +405,35 @@ Result<MapLabel> MapEncoder::code(const Environment& map, AVPacket& light, AVPac
   for (int y = 0; y < picture.height; ++y)
     codec::log_luv_from_rgb(exposed_.row(y),
                             {codes(picture, 0, y), codes(picture, 1, y), codes(picture, 2, y)});
-  fill_seen(map, *seen_picture_);
   const auto number = static_cast<std::int64_t>(coded_);
   PENUMBRA_TRY(encode(*light_, picture, number, light));
-  PENUMBRA_TRY(encode(*seen_, *seen_picture_, number, seen));
+  PENUMBRA_TRY(code_seen(map, number, seen));
   PENUMBRA_TRY(
       decode_into(*decoder_, light, kLightFormat, picture.width, picture.height, *decoded_));
-  label.gain = gains_of(exposed_, *decoded_, *seen_picture_);
+  label.gain = gains_of(exposed_, *decoded_, seen_levels_);
+  label.codes = sum_of_codes(*decoded_);
   ++coded_;
   return label;
+}
+
+// What was seen stays as it is for long, and each of its packets stands alone.
+Result<void> MapEncoder::code_seen(const Environment& map, std::int64_t number, AVPacket& out) {
+  fill_seen(map, seen_levels_);
+  if (!std::ranges::equal(seen_levels_.pixels(), coded_levels_.pixels())) {
+    AVFrame& picture = *seen_picture_;
+    if (const int r = av_frame_make_writable(&picture); r < 0)
+      return fail(ErrorCode::kUnavailable, "light", av_reason(r));
+    for (int y = 0; y < picture.height; ++y)
+      std::ranges::copy(std::as_const(seen_levels_).row(y), levels(picture, y).begin());
+    coded_levels_ = {};
+    av_packet_unref(coded_seen_.get());
+    PENUMBRA_TRY(encode(*seen_, picture, number, *coded_seen_));
+    coded_levels_ = seen_levels_;
+  }
+  if (const int r = av_packet_ref(&out, coded_seen_.get()); r < 0)
+    return fail(ErrorCode::kUnavailable, "light", av_reason(r));
+  out.pts = out.dts = number;
+  return {};
 }
 
 namespace {
@@ -443,6 +483,8 @@ Result<MapDecoder> MapDecoder::open(const AVCodecParameters& light, const AVCode
 Result<Environment> MapDecoder::decode(const AVPacket& light, const AVPacket& seen,
                                        const MapLabel& label) {
   PENUMBRA_TRY(decode_into(*light_, light, kLightFormat, width_, height_, *picture_));
+  if (label.codes && sum_of_codes(*picture_) != *label.codes)
+    return fail(ErrorCode::kUnreadable, "map", "is damaged: its label is of another picture");
   PENUMBRA_TRY(decode_into(*seen_, seen, AV_PIX_FMT_GRAY8, width_, height_, *mask_));
   Environment out;
   out.radiance.reset(width_, height_);

@@ -14,21 +14,20 @@ constexpr float kLogLuvSteps = 128, kColourSteps = 6400;
 const float kLowestStop = std::log2(kLogLuvToe);
 
 std::uint16_t code_of(float steps) {
-  return static_cast<std::uint16_t>(std::clamp(steps + .5f, 0.f, float{kMaxLogLuvCode}));
+  const float rounded = std::min(std::max(steps + .5f, 0.f), float{kMaxLogLuvCode});
+  return static_cast<std::uint16_t>(static_cast<int>(rounded));
 }
 
-// Within .0004: of a positive normal number, by its exponent and the first bits of its mantissa.
+// Of a positive normal number, within .00005 and exact for powers of two: its exponent and
+// log2(1 + m) = m + m (1 - m) q(m) of its mantissa, with q interpolated at Chebyshev's points.
 float log2_of(float v) {
-  constexpr int kBits = 11, kMantissaBits = 23, kBias = 127;
-  static const auto table = [] {
-    std::array<float, std::size_t{1} << kBits> out{};
-    for (std::size_t i = 0; i < out.size(); ++i)
-      out[i] = std::log2(1 + (static_cast<float>(i) + .5f) / static_cast<float>(out.size()));
-    return out;
-  }();
+  constexpr int kMantissaBits = 23, kBias = 127;
   const auto bits = std::bit_cast<std::uint32_t>(v);
-  const auto mantissa = (bits >> (kMantissaBits - kBits)) & ((1u << kBits) - 1);
-  return static_cast<float>(static_cast<int>(bits >> kMantissaBits) - kBias) + table[mantissa];
+  const auto exponent = static_cast<int>(bits >> kMantissaBits) - kBias;
+  const auto mantissa_bits = bits & ((1u << kMantissaBits) - 1);
+  const float m = std::bit_cast<float>(mantissa_bits | std::bit_cast<std::uint32_t>(1.f)) - 1;
+  const float q = .4424186f + m * (-.2695780f + m * (.1505332f - m * .0448740f));
+  return static_cast<float>(exponent) + m + m * (1 - m) * q;
 }
 
 float with_toe(float v) {

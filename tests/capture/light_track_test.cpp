@@ -318,13 +318,14 @@ TEST_F(LightTrack, LabelsThatNoWriterWritesAreRefused) {
   std::string whole(fs::file_size(path()), '\0');
   std::ifstream(path(), std::ios::binary)
       .read(whole.data(), static_cast<std::streamsize>(whole.size()));
-  const auto label = whole.find("light/0,"), gain = whole.find(';', label);
+  const auto label = whole.find("light/0,"), gain = whole.find(';', label),
+             codes = whole.find(';', gain + 1);
   ASSERT_NE(gain, std::string::npos);
   const auto refused_with = [&](std::size_t from, std::string_view bad) {
     std::string bytes = whole;
     bytes.replace(from, bad.size(), bad);
     // With its right checksum: what it says is looked at.
-    const auto end = whole.find(';', gain + 1);
+    const auto end = whole.find(';', codes + 1);
     bytes.replace(end + 1, 8, crc_of(bytes.substr(label, end - label)));
     std::ofstream(path(), std::ios::binary | std::ios::trunc) << bytes;
     const auto source = open_recording(path(), RecordedLight::kTrack);
@@ -335,6 +336,8 @@ TEST_F(LightTrack, LabelsThatNoWriterWritesAreRefused) {
   EXPECT_TRUE(refused_with(gain, ";-"));     // a negative one
   EXPECT_TRUE(refused_with(gain, "; nan"));  // none
   EXPECT_TRUE(refused_with(gain, ",,"));     // a row that is none
+  EXPECT_TRUE(refused_with(codes, ";g"));    // a sum that is no number
+  EXPECT_TRUE(refused_with(codes, ";+"));
 }
 
 // What a killed writer left ends with the last whole map.
@@ -406,19 +409,90 @@ struct PacketFreed {
   void operator()(AVPacket* p) const { av_packet_free(&p); }
 };
 
-// FFmpeg's decoder shows the last map's pixels where a checksum is wrong: what is clipped would be
-// that of another map.
-TEST(MapDecoder, AnyDamagedByteOfWhatWasSeenIsFound) {
-  auto encoder = MapEncoder::create(2 * kTrackRows, kTrackRows, true);
-  ASSERT_TRUE(encoder) << encoder.error().detail;
+Result<MapDecoder> decoder_of(const MapEncoder& encoder) {
   const auto parameters_of = [](const AVCodecContext& coder) {
     std::unique_ptr<AVCodecParameters, ParametersFreed> out(avcodec_parameters_alloc());
     avcodec_parameters_from_context(out.get(), &coder);
     return out;
   };
-  const auto light_parameters = parameters_of(encoder->light()),
-             seen_parameters = parameters_of(encoder->seen());
-  auto decoder = MapDecoder::open(*light_parameters, *seen_parameters);
+  const auto light = parameters_of(encoder.light()), seen = parameters_of(encoder.seen());
+  return MapDecoder::open(*light, *seen);
+}
+
+TEST(MapLabel, HoldsTheSumOrNone) {
+  MapLabel label{.exposure = 2, .gain = {1, 1.01f, 1}, .peaks = {{7, {3, 2, 1}}}};
+  for (const auto& codes : {std::optional<std::uint64_t>(), std::optional<std::uint64_t>(0xabcd)}) {
+    label.codes = codes;
+    const std::string text = print_map_label("light/1,0", label);
+    const auto parts = split_map_label(text);
+    ASSERT_TRUE(parts) << text;
+    const auto back = parse_map_label(parts->rest, 2);
+    ASSERT_TRUE(back) << text;
+    EXPECT_EQ(back->codes, codes) << text;
+    ASSERT_EQ(back->peaks.size(), 1u) << text;
+    EXPECT_EQ(back->peaks[0].pixel, 7u);
+  }
+}
+
+// FFmpeg's decoder makes a picture of most damaged packets, and says nothing.
+TEST(MapDecoder, ADamagedByteOfTheLightIsFoundOrChangesNothing) {
+  auto encoder = MapEncoder::create(2 * kTrackRows, kTrackRows, true);
+  ASSERT_TRUE(encoder) << encoder.error().detail;
+  auto decoder = decoder_of(*encoder);
+  ASSERT_TRUE(decoder) << decoder.error().detail;
+  const std::unique_ptr<AVPacket, PacketFreed> light(av_packet_alloc()), seen(av_packet_alloc());
+  const Environment map = measured_map(make_room_environment(2 * kTrackRows, kTrackRows), 1);
+  const auto label = encoder->code(map, *light, *seen);
+  ASSERT_TRUE(label) << label.error().detail;
+  ASSERT_TRUE(label->codes);
+  MapLabel without_sum = *label;
+  without_sum.codes.reset();
+  const auto whole = decoder->decode(*light, *seen, *label);
+  ASSERT_TRUE(whole) << whole.error().detail;
+  int wrong = 0, passed_without_sum = 0;
+  const auto differs = [&](const Result<Environment>& back) {
+    return back && !std::ranges::equal(back->radiance.pixels(), whole->radiance.pixels());
+  };
+  for (int i = 0; i < light->size; i += 3) {
+    light->data[i] ^= 0x10;
+    wrong += differs(decoder->decode(*light, *seen, *label));
+    passed_without_sum += differs(decoder->decode(*light, *seen, without_sum));
+    light->data[i] ^= 0x10;
+  }
+  EXPECT_EQ(wrong, 0);
+  EXPECT_GT(passed_without_sum, light->size / 12) << "the sum is not needed?";
+}
+
+// FFV1 takes 78 MB for each packet of 1024 x 512 pixels. What was seen changes seldom.
+TEST(MapEncoder, WhatWasSeenIsCodedAnewWhereItHasChanged) {
+  auto encoder = MapEncoder::create(2 * kTrackRows, kTrackRows, true);
+  ASSERT_TRUE(encoder) << encoder.error().detail;
+  auto decoder = decoder_of(*encoder);
+  ASSERT_TRUE(decoder) << decoder.error().detail;
+  Environment map = measured_map(make_room_environment(2 * kTrackRows, kTrackRows), 1);
+  std::unique_ptr<AVPacket, PacketFreed> last;  // kept, so that its place is not taken anew
+  for (const auto& clipped : std::vector<std::vector<std::uint32_t>>{{}, {}, {700}, {700}, {}}) {
+    const std::unique_ptr<AVPacket, PacketFreed> light(av_packet_alloc());
+    std::unique_ptr<AVPacket, PacketFreed> seen(av_packet_alloc());
+    const bool as_before = last && clipped == map.clipped;
+    map.clipped = clipped;
+    const auto label = encoder->code(map, *light, *seen);
+    ASSERT_TRUE(label) << label.error().detail;
+    EXPECT_EQ(last && seen->data == last->data, as_before);
+    EXPECT_TRUE(seen->flags & AV_PKT_FLAG_KEY);
+    const auto back = decoder->decode(*light, *seen, *label);
+    ASSERT_TRUE(back) << back.error().detail;
+    EXPECT_EQ(back->clipped, clipped);
+    last = std::move(seen);
+  }
+}
+
+// FFmpeg's decoder shows the last map's pixels where a checksum is wrong: what is clipped would be
+// that of another map.
+TEST(MapDecoder, AnyDamagedByteOfWhatWasSeenIsFound) {
+  auto encoder = MapEncoder::create(2 * kTrackRows, kTrackRows, true);
+  ASSERT_TRUE(encoder) << encoder.error().detail;
+  auto decoder = decoder_of(*encoder);
   ASSERT_TRUE(decoder) << decoder.error().detail;
   const std::unique_ptr<AVPacket, PacketFreed> light(av_packet_alloc()), seen(av_packet_alloc());
   Environment map = measured_map(make_room_environment(2 * kTrackRows, kTrackRows), 1);

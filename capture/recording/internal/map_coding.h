@@ -9,6 +9,7 @@ extern "C" {
 
 #include <cstdint>
 #include <memory>
+#include <optional>
 #include <string>
 #include <string_view>
 #include <vector>
@@ -28,6 +29,7 @@ struct AvFreed {
 };
 using AvCodec = std::unique_ptr<AVCodecContext, AvFreed<avcodec_free_context>>;
 using AvPicture = std::unique_ptr<AVFrame, AvFreed<av_frame_free>>;
+using Packet = std::unique_ptr<AVPacket, AvFreed<av_packet_free>>;
 
 /// Every so many maps one is coded by itself: from there a reader can begin.
 inline constexpr int kMapsToKey = 30;
@@ -47,6 +49,8 @@ struct MapLabel {
     Rgb radiance;
   };
   std::vector<Peak> peaks{};
+  /// Sum of the decoded picture's codes; none in tracks whose packets hold sums of their own.
+  std::optional<std::uint64_t> codes{};
 };
 /// A label's row, and behind it all else, with a checksum (CRC-32 as zlib has it) at the end.
 std::string print_map_label(const std::string& row, const MapLabel& label);
@@ -71,12 +75,17 @@ class MapEncoder {
   Result<MapLabel> code(const Environment& map, AVPacket& light, AVPacket& seen);
 
  private:
+  Result<void> code_seen(const Environment& map, std::int64_t number, AVPacket& out);
+
   AvCodec light_, seen_;
   AvPicture light_picture_, seen_picture_;
   AvCodec decoder_;  // of its own packets
   AvPicture decoded_;
   std::uint64_t coded_ = 0;
-  Image<Rgb> exposed_;  // scratch
+  Packet coded_seen_;                 // the newest of FFV1, and
+  Image<std::uint8_t> coded_levels_;  // of what
+  Image<Rgb> exposed_;                // scratch
+  Image<std::uint8_t> seen_levels_;   // scratch
 };
 
 class MapDecoder {

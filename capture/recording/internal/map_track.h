@@ -16,8 +16,6 @@ extern "C" {
 
 namespace penumbra::capture {
 
-using Packet = std::unique_ptr<AVPacket, AvFreed<av_packet_free>>;
-
 class MapTrack {
  public:
   /// errors: kInvalid (another size than the track's), as MapDecoder::open
