@@ -3,11 +3,14 @@
 #include <cmath>
 #include <glm/mat3x3.hpp>
 #include <glm/matrix.hpp>
+#include <glm/vec3.hpp>
 #include <limits>
+#include <span>
 #include <string>
 
 #include "codec/internal/light_planes.h"
 #include "core/conventions.h"
+#include "core/threads/parallel.h"
 
 namespace penumbra::codec {
 
@@ -15,6 +18,8 @@ namespace {
 
 constexpr int kMaxCode = (1 << kPlaneBits) - 1, kColourZero = 1 << (kPlaneBits - 1);
 constexpr double kMaxStops = 28;
+constexpr int kRowsAtOnce = 16;
+constexpr float kRounding = 1e-6f;
 constexpr float kMaxLuminance = 1e30f;                 // sums and squares stay finite
 constexpr float kWhiteU = .19784f, kWhiteV = .46832f;  // D65
 
@@ -23,8 +28,8 @@ const glm::mat3 kXyzFromRgb(.4124f, kLuminance[0], .0193f, .3576f, kLuminance[1]
                             kLuminance[2], .9505f);
 const glm::mat3 kRgbFromXyz(glm::inverse(glm::dmat3(kXyzFromRgb)));
 
-std::int32_t code_of(double v) {
-  return static_cast<std::int32_t>(std::clamp(std::lround(v), 0l, long{kMaxCode}));
+std::int32_t plane_code(float v) {
+  return static_cast<std::int32_t>(std::clamp(v + .5f, 0.f, float{kMaxCode}));
 }
 
 std::string pixel_name(const Image<Rgb>& image, std::size_t index) {
@@ -80,80 +85,109 @@ Result<LightPlanes> planes_from_rgb(const Image<Rgb>& radiance, double steps_per
   out.scale.steps_per_stop = static_cast<float>(
       std::min(steps_per_stop, (kMaxCode - 1) / (kStopsAboveBlack + range.high - range.low)));
   for (auto& plane : out.codes) plane.resize(radiance.area());
-  const float colour_steps = out.scale.steps_per_stop * kColourPerStop;
-  std::int32_t u = kColourZero, v = kColourZero;  // black takes its neighbour's colour: no edge
-  for (std::size_t i = 0; i < radiance.area(); ++i) {
-    const Rgb& p = radiance.pixels()[i];
-    const double y = luminance_kept(p), stop = y > 0 ? std::log2(y) : range.low - 1;
-    if (stop >= range.low) {
-      const Rgb inside = inside_rec709(p, static_cast<float>(y));
-      const glm::vec3 xyz = kXyzFromRgb * glm::vec3(inside.r, inside.g, inside.b);
-      const float sum = xyz.x + 15 * xyz.y + 3 * xyz.z;
-      u = code_of(kColourZero + colour_steps * (4 * xyz.x / sum - kWhiteU));
-      v = code_of(kColourZero + colour_steps * (9 * xyz.y / sum - kWhiteV));
-      out.codes[0][i] =
-          code_of((stop - double{out.scale.lowest_stop}) * double{out.scale.steps_per_stop});
+  const float colour_steps = out.scale.steps_per_stop * kColourPerStop,
+              steps = out.scale.steps_per_stop;
+  const double per_darkest = std::exp2(-range.low);
+  parallel_for(0, out.height, kRowsAtOnce, [&](const Indices<int>& rows) {
+    for (int row = rows.begin(); row < rows.end(); ++row) {
+      std::size_t i = static_cast<std::size_t>(row) * static_cast<std::size_t>(out.width);
+      std::int32_t u = kColourZero, v = kColourZero;  // black takes its neighbour's: no edge
+      for (const Rgb& p : radiance.row(row)) {
+        const float y = luminance_kept(p), above = static_cast<float>(double{y} * per_darkest);
+        if (above >= 1 - kRounding) {
+          const Rgb inside = inside_rec709(p, y);
+          const glm::vec3 xyz = kXyzFromRgb * glm::vec3(inside.r, inside.g, inside.b);
+          const float sum = xyz.x + 15 * xyz.y + 3 * xyz.z;
+          u = plane_code(kColourZero + colour_steps * (4 * xyz.x / sum - kWhiteU));
+          v = plane_code(kColourZero + colour_steps * (9 * xyz.y / sum - kWhiteV));
+          out.codes[0][i] = plane_code((std::log2(above) + kStopsAboveBlack) * steps);
+        }
+        out.codes[1][i] = u, out.codes[2][i] = v;
+        ++i;
+      }
     }
-    out.codes[1][i] = u, out.codes[2][i] = v;
-  }
+  });
   return out;
 }
 
 Image<Rgb> rgb_from_planes(const LightPlanes& planes) {
   Image<Rgb> out(planes.width, planes.height);
-  const double lowest = planes.scale.lowest_stop, stop_step = 1. / planes.scale.steps_per_stop;
-  const float colour_step = 1 / (planes.scale.steps_per_stop * kColourPerStop);
+  const float lowest = planes.scale.lowest_stop, stop_step = 1 / planes.scale.steps_per_stop,
+              colour_step = 1 / (planes.scale.steps_per_stop * kColourPerStop);
   const double black = kStopsAboveBlack / 2 * planes.scale.steps_per_stop;
-  for (std::size_t i = 0; i < out.area(); ++i) {
-    const std::int32_t code = planes.codes[0][i];
-    if (code < black) continue;
-    const auto y = static_cast<float>(std::exp2(lowest + code * stop_step));
-    const float u = kWhiteU + static_cast<float>(planes.codes[1][i] - kColourZero) * colour_step;
-    const float v = std::max(
-        1e-3f, kWhiteV + static_cast<float>(planes.codes[2][i] - kColourZero) * colour_step);
-    const glm::vec3 rgb =
-        kRgbFromXyz * glm::vec3(y * 9 * u / (4 * v), y, y * (12 - 3 * u - 20 * v) / (4 * v));
-    out.pixels()[i] = inside_rec709({rgb.x, rgb.y, rgb.z}, y);
+  parallel_for(0, planes.height, kRowsAtOnce, [&](const Indices<int>& rows) {
+    const auto width = static_cast<std::size_t>(planes.width);
+    for (std::size_t i = static_cast<std::size_t>(rows.begin()) * width;
+         i < static_cast<std::size_t>(rows.end()) * width; ++i) {
+      const std::int32_t code = planes.codes[0][i];
+      if (code < black) continue;
+      const float y = std::exp2(lowest + static_cast<float>(code) * stop_step);
+      const float u = kWhiteU + static_cast<float>(planes.codes[1][i] - kColourZero) * colour_step;
+      const float v = std::max(
+          1e-3f, kWhiteV + static_cast<float>(planes.codes[2][i] - kColourZero) * colour_step);
+      const glm::vec3 rgb =
+          kRgbFromXyz * glm::vec3(y * 9 * u / (4 * v), y, y * (12 - 3 * u - 20 * v) / (4 * v));
+      out.pixels()[i] = inside_rec709({rgb.x, rgb.y, rgb.z}, y);
+    }
+  });
+  return out;
+}
+
+namespace {
+
+// Sums over a row's pixels that the scale holds.
+struct RowError {
+  double squares = 0, largest = 0;      // of log10 luminance
+  glm::dvec3 light{0}, kept{0};         // of the truth, of what was decoded
+  std::size_t count = 0, negative = 0;  // the latter of all pixels
+};
+
+RowError error_of_row(std::span<const Rgb> truth, std::span<const Rgb> decoded, double least,
+                      double black) {
+  RowError out;
+  for (std::size_t x = 0; x < truth.size(); ++x) {
+    const Rgb &a = truth[x], &b = decoded[x];
+    out.negative += std::min({a.r, a.g, a.b}) < 0;
+    const float y = luminance_kept(a);
+    if (!(double{y} >= least)) continue;
+    const Rgb inside = inside_rec709(a, y);
+    out.light += glm::dvec3(inside.r, inside.g, inside.b);
+    out.kept += glm::dvec3(b.r, b.g, b.b);
+    // What became black is off by as much as the scale's end.
+    const double error = std::abs(std::log10(std::max<double>(luminance(b), black) / double{y}));
+    out.squares += error * error;
+    out.largest = std::max(out.largest, error);
+    ++out.count;
   }
   return out;
 }
 
+}  // namespace
+
 StillError error_of(const Image<Rgb>& truth, const Image<Rgb>& decoded, const LightScale& scale) {
   const double black = std::exp2(double{scale.lowest_stop}),
                least = black * std::exp2(kStopsAboveBlack) * (1 - 1e-6);
-  double sum = 0, count = 0;
-  std::array<double, 3> light{}, kept{};
-  StillError out;
-  out.negative = static_cast<std::size_t>(std::ranges::count_if(truth.pixels(), [](const Rgb& p) {
-    return std::min({p.r, p.g, p.b}) < 0;
-  }));
-  const auto width = static_cast<std::size_t>(truth.width());
+  std::vector<RowError> rows(static_cast<std::size_t>(truth.height()));
+  parallel_for(0, truth.height(), kRowsAtOnce, [&](const Indices<int>& part) {
+    for (int y = part.begin(); y < part.end(); ++y)
+      rows[static_cast<std::size_t>(y)] = error_of_row(truth.row(y), decoded.row(y), least, black);
+  });
   const bool is_sphere = truth.width() == 2 * truth.height();
-  // Of a row, for the sums of light.
-  const auto weight = [&](std::size_t row) {
-    return is_sphere ? std::sin(kPi * (double(row) + .5) / truth.height()) : 1;
-  };
-  for (std::size_t i = 0; i < truth.area(); ++i) {
-    const Rgb &a = truth.pixels()[i], &b = decoded.pixels()[i];
-    const double y = luminance_kept(a);
-    if (!(y >= least)) continue;
-    const Rgb inside = inside_rec709(a, static_cast<float>(y));
-    const double part = weight(i / width);
-    for (int c = 0; c < 3; ++c) {
-      light[static_cast<std::size_t>(c)] += part * double{inside[c]};
-      kept[static_cast<std::size_t>(c)] += part * double{b[c]};
-    }
-    // What became black is off by as much as the scale's end.
-    const double error = std::abs(std::log10(std::max<double>(luminance(b), black) / y));
-    sum += error * error;
-    out.luminance_max = std::max(out.luminance_max, error);
-    ++count;
+  RowError all;
+  for (std::size_t y = 0; y < rows.size(); ++y) {
+    const RowError& row = rows[y];
+    const double weight = is_sphere ? std::sin(kPi * (double(y) + .5) / truth.height()) : 1;
+    all.light += weight * row.light, all.kept += weight * row.kept;
+    all.squares += row.squares, all.count += row.count, all.negative += row.negative;
+    all.largest = std::max(all.largest, row.largest);
   }
-  if (count == 0) return out;
-  out.luminance_rms = std::sqrt(sum / count);
-  const double part = std::ranges::max(light) / 20;
-  for (std::size_t c = 0; c < 3; ++c)
-    out.light = std::max(out.light, std::abs(std::log10((kept[c] + part) / (light[c] + part))));
+  StillError out{.luminance_max = all.largest, .negative = all.negative};
+  if (all.count == 0) return out;
+  out.luminance_rms = std::sqrt(all.squares / static_cast<double>(all.count));
+  const double part = std::max({all.light.x, all.light.y, all.light.z}) / 20;
+  for (int c = 0; c < 3; ++c)
+    out.light =
+        std::max(out.light, std::abs(std::log10((all.kept[c] + part) / (all.light[c] + part))));
   return out;
 }
 

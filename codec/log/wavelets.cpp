@@ -196,6 +196,7 @@ Result<LightPlanes> decode_wavelets(std::span<const unsigned char> codestream,
   opj_set_default_decoder_parameters(&parameters);
   opj_image_t* read = nullptr;
   const bool has_head = opj_setup_decoder(codec.get(), &parameters) &&
+                        opj_codec_set_threads(codec.get(), opj_get_num_cpus()) &&
                         opj_decoder_set_strict_mode(codec.get(), OPJ_TRUE) &&
                         opj_read_header(stream.get(), codec.get(), &read);
   const OwnedImage image(read, opj_image_destroy);

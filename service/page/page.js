@@ -625,7 +625,7 @@ function showMissing(faults) {
 function showRecording(recording) {
   const goesOn = Boolean(recording?.active);
   setText("record-button", goesOn ? "Stop recording" : "Record");
-  $("file").disabled = goesOn;
+  $("file").disabled = $("recorded-light").disabled = goesOn;
   setText("recording", recording ? `${recording.file}: ${duration(recording.seconds)}, ` +
     `${count(recording.frames, "frame")}, ${significant(recording.bytes / 1e6)} MB` +
     (recording.dropped ? `, ${recording.dropped} dropped` : "") : "");
@@ -775,9 +775,10 @@ async function press(button, request, done) {
 function listenToButtons() {
   $("record").addEventListener("submit", (event) => {
     event.preventDefault();
-    const file = $("file").value.trim(), stops = Boolean(state?.recording?.active);
+    const file = $("file").value.trim(), light = $("recorded-light").value,
+      stops = Boolean(state?.recording?.active);
     if (stops) press($("record-button"), () => ask("DELETE", "/v1/recording"), () => "Recording stopped");
-    else press($("record-button"), () => ask("POST", "/v1/recording", file ? { file } : {}), () => "Recording");
+    else press($("record-button"), () => ask("POST", "/v1/recording", { light, ...(file && { file }) }), () => "Recording");
   });
   $("snapshot").addEventListener("click", () =>
     press($("snapshot"), () => ask("POST", "/v1/snapshot", {}), ({ file }) => `Saved ${file}`));

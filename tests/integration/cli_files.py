@@ -67,8 +67,8 @@ def unfilter(kind, row, above):
 def write_hdr(path, width, height, rgb):
     """A constant picture as flat RGBE."""
     mantissa, exponent = math.frexp(max(rgb))
-    scale = mantissa * 256 / max(rgb)
-    pixel = bytes([int(c * scale) for c in rgb] + [exponent + 128])
+    scale = mantissa * 256 / max(rgb) if any(rgb) else 0
+    pixel = bytes([int(c * scale) for c in rgb] + [exponent + 128 if any(rgb) else 0])
     head = f"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y {height} +X {width}\n".encode()
     Path(path).write_bytes(head + pixel * (width * height))
 

@@ -810,6 +810,20 @@ class Tonemap(CliTest):
         self.assertLess(found["rel_rmse"], .01)
         self.assertLess(found["log10_rmse"], .005)
 
+    def test_compare_says_why_a_figure_is_missing(self):
+        for name, colour in (("black.hdr", (0, 0, 0)), ("grey.hdr", (.5, .5, .5))):
+            files.write_hdr(self.root / name, 64, 32, colour)
+        black, grey = self.root / "black.hdr", self.root / "grey.hdr"
+        for pair, missing in (((grey, black), ("relative RMSE and no PSNR: .*black.hdr", "log10", "Sarnoff", "FLIP")),
+                              ((black, black), ("log10", "Sarnoff", "FLIP")),
+                              ((black, grey), ("log10", "PSNR of luminance: .*grey.hdr has one"))):
+            done = self.run_program("compare", *pair)
+            self.assertEqual(done.returncode, 0, done.stderr)
+            self.assertNotRegex(done.stdout, r"\bnan\b|-inf")
+            for what in missing:
+                self.assertRegex(done.stdout, rf"(?m)^no {what}")
+        self.assertIsNone(self.run_json("compare", grey, black)["rel_rmse"])
+
     def test_a_gain_map_that_loses_light_says_so(self):
         files.write_lamp_hdr(self.root / "lamp.hdr", 256, 128, (1000, 300, 10))
         done = self.run_program("tonemap", self.root / "lamp.hdr", "-o", self.root / "lamp.jpg", "--gain-map")

@@ -316,6 +316,16 @@ class Page(CliTest):
         self.wait_until(lambda: self.browser.run("return document.getElementById('said').matches('.fault')"),
                         "a file that is there is refused")
         self.assertIn("take.mkv", self.browser.text("#said"))
+        # What is kept of the light is a choice.
+        self.browser.type_into("#file", "maps.mkv")
+        self.browser.run("document.getElementById('recorded-light').value = 'track'")
+        self.browser.click("#record-button")
+        self.wait_until(lambda: re.match(r"maps\.mkv: .*[1-9]\d* frames", self.browser.text("#recording")),
+                        "the second recording is told")
+        self.assertTrue(self.browser.run("return document.getElementById('recorded-light').disabled"))
+        self.browser.click("#record-button")
+        self.wait_until(lambda: self.browser.text("#record-button") == "Record", "it records no more")
+        self.assertIn(b"light: labels", (folder / "maps.mkv").read_bytes())
         self.browser.click("#snapshot")
         said = self.wait_until(lambda: re.fullmatch(r"Saved (\S+\.png)", self.browser.text("#said")), "it is saved")
         width, height, _ = files.read_png(folder / Path(said[1]).name)

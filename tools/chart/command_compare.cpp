@@ -5,6 +5,7 @@
 #include <limits>
 #include <optional>
 #include <string>
+#include <string_view>
 #include <utility>
 #include <vector>
 
@@ -70,6 +71,8 @@ Image<Rgb> linear_of(const ReadPicture& picture) {
   return out;
 }
 
+constexpr double kUnknown = std::numeric_limits<double>::quiet_NaN();
+
 struct Figures {
   double rel_rmse = 0, log10_rmse = 0, psnr_db = 0, max_abs = 0, scale = 1;
   std::size_t compared = 0, non_finite = 0;
@@ -114,10 +117,10 @@ Figures measure(const Image<Rgb>& a, const Image<Rgb>& b, const std::vector<bool
   }
   const double n = static_cast<double>(std::max<std::size_t>(1, f.compared)),
                rmse = std::sqrt(square / n);
-  f.rel_rmse = mean > 0 ? rmse / (mean / n) : (rmse > 0 ? HUGE_VAL : 0);
-  // Without a pixel that is above black in both there is no logarithm to compare.
-  f.log10_rmse = logs > 0 ? std::sqrt(log_square / logs) : std::numeric_limits<double>::quiet_NaN();
-  f.psnr_db = rmse > 0 ? 20 * std::log10(peak / rmse) : HUGE_VAL;
+  // Nothing is a part of black, and without a pixel that is above it in both there is no logarithm.
+  f.rel_rmse = mean > 0 ? rmse / (mean / n) : (rmse > 0 ? kUnknown : 0);
+  f.log10_rmse = logs > 0 ? std::sqrt(log_square / logs) : kUnknown;
+  f.psnr_db = rmse > 0 ? (peak > 0 ? 20 * std::log10(peak / rmse) : kUnknown) : HUGE_VAL;
   return f;
 }
 
@@ -126,8 +129,6 @@ Figures measure(const Image<Rgb>& a, const Image<Rgb>& b, const std::vector<bool
 struct SeenFigures {
   double mse = kUnknown, luminance_psnr_db = kUnknown, pu21_psnr_db = kUnknown,
          pu21_ssim = kUnknown, sarnoff = kUnknown, flip = kUnknown;
-
-  static constexpr double kUnknown = std::numeric_limits<double>::quiet_NaN();
 };
 
 // Errors of pixels as --map draws them: 0..1.
@@ -166,6 +167,37 @@ Result<void> write_map(const CompareOptions& o, SeenMaps& maps) {
   if (o.map_of == "sarnoff")
     for (float& v : map->pixels()) v *= 20;  // a twentieth is a plain difference of contrast
   return codec::write_frame(*o.map, heat_picture(*map));
+}
+
+// A figure with its unit, or "none" where there is none to tell.
+std::string figure(double value, int digits, bool fixed, std::string_view unit = "") {
+  if (std::isnan(value)) return "none";
+  return (fixed ? fmt::format("{:.{}f}", value, digits) : fmt::format("{:.{}g}", value, digits)) +
+         std::string(unit);
+}
+
+void print_figures(const CompareOptions& o, const Figures& f, const SeenFigures& seen,
+                   const SeenMaps& maps) {
+  fmt::print("relative RMSE {}, log10 luminance RMSE {}, PSNR {}, largest difference {:.5g}\n",
+             figure(f.rel_rmse, 5, false), figure(f.log10_rmse, 5, false),
+             figure(f.psnr_db, 2, true, " dB"), f.max_abs);
+  fmt::print(
+      "luminance: MSE {}, PSNR {}; as seen: PU21-PSNR {}, PU21-SSIM {}, Sarnoff {}, mean "
+      "FLIP {}\n",
+      figure(seen.mse, 5, false), figure(seen.luminance_psnr_db, 2, true, " dB"),
+      figure(seen.pu21_psnr_db, 2, true, " dB"), figure(seen.pu21_ssim, 4, true),
+      figure(seen.sarnoff, 4, true), figure(seen.flip, 4, true));
+  fmt::print(
+      "{} pixels compared, {} not finite, {} black in one alone and without a logarithm, {} "
+      "scaled by {:.5g}\n",
+      f.compared, f.non_finite, f.black_in_one, o.a, f.scale);
+  if (std::isnan(f.rel_rmse)) fmt::print("no relative RMSE and no PSNR: {} is black\n", o.b);
+  if (std::isnan(f.log10_rmse))
+    fmt::print("no log10 luminance RMSE: no pixel is above black in both\n");
+  if (std::isnan(seen.luminance_psnr_db))
+    fmt::print("no PSNR of luminance: {} has one luminance alone\n", o.b);
+  if (!maps.sarnoff) fmt::print("no Sarnoff figure: {} {}\n", o.b, maps.sarnoff.error().detail);
+  if (!maps.flip) fmt::print("no FLIP: {} {}\n", o.b, maps.flip.error().detail);
 }
 
 std::string one_of_maps(const std::string& text) {
@@ -222,16 +254,7 @@ Result<void> compare(const CompareOptions& o) {
                 {"black_in_one", f.black_in_one},
                 {"non_finite", f.non_finite}});
   } else {
-    fmt::print(
-        "relative RMSE {:.5g}, log10 luminance RMSE {:.5g}, PSNR {:.2f} dB, largest difference "
-        "{:.5g}\n"
-        "luminance: MSE {:.5g}, PSNR {:.2f} dB; as seen: PU21-PSNR {:.2f} dB, PU21-SSIM {:.4f}, "
-        "Sarnoff {:.4f}, mean FLIP {:.4f}\n"
-        "{} pixels compared, {} not finite, {} black in one alone and without a logarithm, {} "
-        "scaled by {:.5g}\n",
-        f.rel_rmse, f.log10_rmse, f.psnr_db, f.max_abs, seen.mse, seen.luminance_psnr_db,
-        seen.pu21_psnr_db, seen.pu21_ssim, seen.sarnoff, seen.flip, f.compared, f.non_finite,
-        f.black_in_one, o.a, f.scale);
+    print_figures(o, f, seen, maps);
   }
   return {};
 }

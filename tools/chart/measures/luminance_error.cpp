@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstddef>
+#include <limits>
 #include <vector>
 
 #include "core/threads/parallel.h"
@@ -86,7 +87,9 @@ Image<float> difference_of(const Image<float>& a, const Image<float>& b) {
 }
 
 double ratio_db(double range, double mse) {
-  return mse > 0 ? 10 * std::log10(range * range / mse) : HUGE_VAL;
+  if (!(mse > 0)) return HUGE_VAL;
+  return range > 0 ? 10 * std::log10(range * range / mse)
+                   : std::numeric_limits<double>::quiet_NaN();
 }
 
 }  // namespace

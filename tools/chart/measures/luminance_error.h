@@ -11,7 +11,7 @@ struct LuminanceError {
   double mse = 0;
   // Over the reference's range of luminance; infinite where nothing differs, minus infinity where
   // the reference has no range.
-  double psnr_db = 0;
+  double psnr_db = 0;  // NaN where the reference has one luminance, infinite where nothing differs
 };
 
 /// Mean square error of luminance and the ratio of the reference's range to it.
