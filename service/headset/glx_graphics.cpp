@@ -59,11 +59,9 @@ class GlxGraphics : public HeadsetGraphics {
 GlxGraphics::~GlxGraphics() {
   if (!display_) return;
   const ErrorsPassedOver passed_over;
-  if (!lost_) {
-    glXMakeContextCurrent(display_, 0, 0, nullptr);
-    if (context_) glXDestroyContext(display_, context_);
-    if (drawable_) glXDestroyPbuffer(display_, drawable_);
-  }
+  glXMakeContextCurrent(display_, 0, 0, nullptr);
+  if (context_) glXDestroyContext(display_, context_);
+  if (drawable_) glXDestroyPbuffer(display_, drawable_);
   XCloseDisplay(display_);
 }
 
