@@ -23,26 +23,27 @@ inline Result<void> check_goal(const StillGoal& goal) {
 struct GoalBracket {
   double good, bad;
   std::optional<double> good_excess, bad_excess;
+  double slope = 1;  // of the excess, by the last two tries: 1 where errors are proportional
 };
 
-// The line through both sides, at times their middle. With one side alone a step as if the excess
-// were proportional, from the second on at least half of the way to the range's end, then that end:
-// errors have floors.
+// The line through both sides, at times their middle. With one side alone a step by the slope, and
+// after some that end of the range: errors have floors.
 inline double next_try(const GoalBracket& b, int tries) {
   constexpr double kBelow = .01;  // aimed at, of the goal
-  constexpr int kProportional = 1, kHalves = 3;
+  constexpr int kStraight = 3;
+  constexpr double kBeyond = 1.1;  // so that the other side is known, too
   const double width = b.bad - b.good, margin = .02 * width;
   if (b.good_excess && b.bad_excess) {
     const double line =
         b.good + width * (-kBelow - *b.good_excess) / (*b.bad_excess - *b.good_excess);
-    return std::clamp(tries % 3 == 2 ? b.good + width / 2 : line, b.good + margin, b.bad - margin);
+    const bool middle = tries > kStraight && tries % 3 == 2;
+    return std::clamp(middle ? b.good + width / 2 : line, b.good + margin, b.bad - margin);
   }
   const double end = b.good_excess ? b.bad : b.good;
-  if (tries >= kHalves) return end;
+  if (tries >= kStraight) return end;
   const double from = b.good_excess ? b.good : b.bad,
                excess = b.good_excess ? *b.good_excess : *b.bad_excess;
-  double step = std::abs(excess) * 1.2 + kBelow;
-  if (tries >= kProportional) step = std::max(step, width / 2);
+  const double step = kBeyond * (std::abs(excess) + kBelow) / b.slope;
   return end > from ? std::min(from + step, end) : std::max(from - step, end);
 }
 
@@ -55,18 +56,22 @@ Result<CodedStill> search_goal(const StillGoal& goal, double low, double high, d
                                Encode&& encode) {
   const bool by_size = goal.max_bytes > 0;
   constexpr int kTries = 12;
-  constexpr double kNear = .02;
+  constexpr double kNear = .02, kFlat = .1;
   double good = by_size ? -std::log(high) : std::log(low),
          bad = by_size ? -std::log(low) : std::log(high);
   std::optional<double> good_excess, bad_excess;
   std::optional<CodedStill> best;
   CodedStill nearest;  // where none is within the goal
+  double slope = 1;
   double at = by_size ? -std::log(first) : std::log(first);
   for (int i = 0; i < kTries; ++i) {
     PENUMBRA_ASSIGN(coded, encode(std::exp(by_size ? -at : at)));
     const double excess = by_size
                               ? std::log(double(coded.bytes.size()) / double(goal.max_bytes))
                               : std::log(std::max(coded.error.larger(), 1e-12) / goal.deviation);
+    if (const auto known = good_excess ? good_excess : bad_excess;
+        known && !(good_excess && bad_excess))
+      slope = std::clamp((excess - *known) / (at - (good_excess ? good : bad)), kFlat, 1 / kFlat);
     if (excess <= 0) {
       best = std::move(coded);
       good = at, good_excess = excess;
@@ -76,7 +81,7 @@ Result<CodedStill> search_goal(const StillGoal& goal, double low, double high, d
       bad = at, bad_excess = excess;
     }
     if (bad - good < 1e-3) break;
-    at = next_try({good, bad, good_excess, bad_excess}, i);
+    at = next_try({good, bad, good_excess, bad_excess, slope}, i);
   }
   if (best) return std::move(*best);
   return fail(ErrorCode::kUndetermined, "goal",

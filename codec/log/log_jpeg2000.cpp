@@ -195,7 +195,13 @@ Result<CodedStill> search_coarseness(const StillTask& task, const LightPlanes& p
     auto coded = encode_planes(task, planes, coarseness);
     return goal.max_bytes > 0 ? coded : measured(std::move(coded), task, planes.scale);
   };
-  if (task.coder == WaveletCoder::kFast) return search_goal(goal, 2e-5, .5, .006, encode);
+  if (task.coder == WaveletCoder::kFast) {
+    // As photographs have it: the step of the quantiser over its error and over bits a pixel.
+    const double bits = 8 * static_cast<double>(goal.max_bytes) /
+                        static_cast<double>(task.radiance.area()),
+                 first = goal.max_bytes > 0 ? .0175 * std::pow(bits, -1.4) : .28 * goal.deviation;
+    return search_goal(goal, 2e-5, .5, std::clamp(first, 2e-5, .5), encode);
+  }
   const double raw = 2. * kPlanes * static_cast<double>(task.radiance.area()),
                most = std::max(2., raw / 64);
   const double first = goal.max_bytes > 0 ? raw / static_cast<double>(goal.max_bytes) : 12;
