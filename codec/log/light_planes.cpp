@@ -7,6 +7,7 @@
 #include <limits>
 #include <span>
 #include <string>
+#include <utility>
 
 #include "codec/internal/light_planes.h"
 #include "core/conventions.h"
@@ -19,7 +20,6 @@ namespace {
 constexpr int kMaxCode = (1 << kPlaneBits) - 1, kColourZero = 1 << (kPlaneBits - 1);
 constexpr double kMaxStops = 28;
 constexpr int kRowsAtOnce = 16;
-constexpr float kRounding = 1e-6f;
 constexpr float kMaxLuminance = 1e30f;                 // sums and squares stay finite
 constexpr float kWhiteU = .19784f, kWhiteV = .46832f;  // D65
 
@@ -75,6 +75,35 @@ Result<LuminanceRange> range_of(const Image<Rgb>& radiance) {
   return LuminanceRange{std::max(std::log2(double{low}), top - kMaxStops), top};
 }
 
+struct RowCodes {
+  std::span<std::int32_t> luminance, u, v;
+};
+
+// Black, which has none, takes the colour of what is lit before it in its row, or first: no edge.
+void fill_codes(std::span<const Rgb> row, const LightScale& scale, double darkest,
+                const RowCodes& out) {
+  constexpr float kRounding = 1e-6f;
+  const float colour_steps = scale.steps_per_stop * kColourPerStop;
+  std::int32_t u = kColourZero, v = kColourZero;
+  bool is_first = true;
+  for (std::size_t x = 0; x < row.size(); ++x) {
+    const float y = luminance_kept(row[x]), above = static_cast<float>(double{y} / darkest);
+    if (above >= 1 - kRounding) {
+      const Rgb inside = inside_rec709(row[x], y);
+      const glm::vec3 xyz = kXyzFromRgb * glm::vec3(inside.r, inside.g, inside.b);
+      const float sum = xyz.x + 15 * xyz.y + 3 * xyz.z;
+      u = plane_code(kColourZero + colour_steps * (4 * xyz.x / sum - kWhiteU));
+      v = plane_code(kColourZero + colour_steps * (9 * xyz.y / sum - kWhiteV));
+      out.luminance[x] = plane_code((std::log2(above) + kStopsAboveBlack) * scale.steps_per_stop);
+      if (std::exchange(is_first, false)) {
+        std::ranges::fill(out.u.first(x), u);
+        std::ranges::fill(out.v.first(x), v);
+      }
+    }
+    out.u[x] = u, out.v[x] = v;
+  }
+}
+
 }  // namespace
 
 Result<LightPlanes> planes_from_rgb(const Image<Rgb>& radiance, double steps_per_stop) {
@@ -85,26 +114,15 @@ Result<LightPlanes> planes_from_rgb(const Image<Rgb>& radiance, double steps_per
   out.scale.steps_per_stop = static_cast<float>(
       std::min(steps_per_stop, (kMaxCode - 1) / (kStopsAboveBlack + range.high - range.low)));
   for (auto& plane : out.codes) plane.resize(radiance.area());
-  const float colour_steps = out.scale.steps_per_stop * kColourPerStop,
-              steps = out.scale.steps_per_stop;
-  const double per_darkest = std::exp2(-range.low);
+  const double darkest = std::exp2(range.low);
   parallel_for(0, out.height, kRowsAtOnce, [&](const Indices<int>& rows) {
-    for (int row = rows.begin(); row < rows.end(); ++row) {
-      std::size_t i = static_cast<std::size_t>(row) * static_cast<std::size_t>(out.width);
-      std::int32_t u = kColourZero, v = kColourZero;  // black takes its neighbour's: no edge
-      for (const Rgb& p : radiance.row(row)) {
-        const float y = luminance_kept(p), above = static_cast<float>(double{y} * per_darkest);
-        if (above >= 1 - kRounding) {
-          const Rgb inside = inside_rec709(p, y);
-          const glm::vec3 xyz = kXyzFromRgb * glm::vec3(inside.r, inside.g, inside.b);
-          const float sum = xyz.x + 15 * xyz.y + 3 * xyz.z;
-          u = plane_code(kColourZero + colour_steps * (4 * xyz.x / sum - kWhiteU));
-          v = plane_code(kColourZero + colour_steps * (9 * xyz.y / sum - kWhiteV));
-          out.codes[0][i] = plane_code((std::log2(above) + kStopsAboveBlack) * steps);
-        }
-        out.codes[1][i] = u, out.codes[2][i] = v;
-        ++i;
-      }
+    const auto width = static_cast<std::size_t>(out.width);
+    for (int y = rows.begin(); y < rows.end(); ++y) {
+      const auto row = [&](std::vector<std::int32_t>& plane) {
+        return std::span(plane).subspan(static_cast<std::size_t>(y) * width, width);
+      };
+      fill_codes(radiance.row(y), out.scale, darkest,
+                 {row(out.codes[0]), row(out.codes[1]), row(out.codes[2])});
     }
   });
   return out;
