@@ -23,6 +23,7 @@
 #include <vector>
 
 #include "codec/codec.h"
+#include "codec/dct/rgbe_still.h"
 #include "codec/gain_map_jpeg.h"
 #include "codec/internal/colour.h"
 #include "codec/internal/formats.h"
@@ -349,9 +350,10 @@ Result<HdrImage> decode_hdr(Bytes bytes, const std::string& name) {
   if (is_exr(bytes)) return decode_exr(bytes, name);
   if (is_jpeg(bytes)) return decode_gain_map_jpeg(bytes, name);
   if (is_jpeg2000(bytes)) return decode_log_jpeg2000(bytes, name);
+  if (is_rgbe_still(bytes)) return decode_rgbe_still(bytes, name);
   if (is_radiance(bytes)) return decode_radiance(bytes, name);
   return fail(ErrorCode::kUnreadable, name,
-              "is neither OpenEXR, Radiance HDR, JPEG 2000 nor a JPEG with a gain map");
+              "is neither OpenEXR, Radiance HDR, JPEG 2000, .pnr nor a JPEG with a gain map");
 }
 
 Result<HdrImage> read_hdr(const std::filesystem::path& path) {

@@ -5,6 +5,7 @@
 #include <vector>
 
 #include "codec/codec.h"
+#include "codec/dct/rgbe_still.h"
 #include "codec/internal/formats.h"
 #include "codec/internal/frame_codecs.h"
 #include "codec/internal/frame_header.h"
@@ -57,7 +58,8 @@ Result<FramePixels> read_frame(const std::filesystem::path& path) {
   const std::string name = path.string();
   // Radiance last: its magic may stand anywhere in the first lines, by chance even in a PNG.
   const bool coded = is_png(bytes) || is_jpeg(bytes) || is_tiff(bytes);
-  if (!coded && (is_exr(bytes) || is_jpeg2000(bytes) || is_radiance(bytes))) {
+  if (!coded &&
+      (is_exr(bytes) || is_jpeg2000(bytes) || is_rgbe_still(bytes) || is_radiance(bytes))) {
     PENUMBRA_ASSIGN(hdr, decode_hdr(bytes, name));
     return std::move(hdr.pixels);
   }

@@ -196,7 +196,8 @@ Result<void> read_sensor(const TomlKeys& keys, CameraInfo& info) {
 
 bool is_float_file(const FrameRow& row) {
   const std::string extension = lower_extension(row.file);
-  return extension == ".exr" || extension == ".hdr" || extension == ".jph" || extension == ".jp2";
+  return extension == ".exr" || extension == ".hdr" || extension == ".jph" || extension == ".jp2" ||
+         extension == ".pnr";
 }
 
 /// Three terms, or a file of `calibrate vignetting`.

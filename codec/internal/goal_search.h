@@ -88,7 +88,7 @@ Result<CodedStill> search_goal(const StillGoal& goal, double low, double high, d
               by_size ? fmt::format("cannot be met: the picture takes {} bytes at least",
                                     nearest.bytes.size())
                       : fmt::format("cannot be met: the best that this coder reaches is off by "
-                                    "{:.3g} %",
+                                    "{:.4g} %",
                                     100 * (std::pow(10, nearest.error.larger()) - 1)));
 }
 

@@ -3,6 +3,7 @@
 
 #include <array>
 #include <cstdint>
+#include <glm/mat3x3.hpp>
 #include <vector>
 
 #include "codec/still_goal.h"
@@ -10,6 +11,15 @@
 #include "core/result.h"
 
 namespace penumbra::codec {
+
+/// CIE XYZ of Rec.709's primaries, ITU-R BT.709-6 and IEC 61966-2-1; luminance exactly as elsewhere.
+extern const glm::mat3 kXyzFromRgb, kRgbFromXyz;
+
+/// Without components below 0, at the pixel's luminance, or, where it has none, at that of the rest.
+Rgb inside_rec709(const Rgb& p);
+
+/// errors: kNonFinite, kInvalid (first pixel that is not finite, or brighter than 1e30)
+Result<void> check_light(const Image<Rgb>& radiance);
 
 inline constexpr int kPlanes = 3, kPlaneBits = 16;
 

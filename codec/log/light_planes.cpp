@@ -15,6 +15,10 @@
 
 namespace penumbra::codec {
 
+const glm::mat3 kXyzFromRgb(.4124f, kLuminance[0], .0193f, .3576f, kLuminance[1], .1192f, .1805f,
+                            kLuminance[2], .9505f);
+const glm::mat3 kRgbFromXyz(glm::inverse(glm::dmat3(kXyzFromRgb)));
+
 namespace {
 
 constexpr int kMaxCode = (1 << kPlaneBits) - 1, kColourZero = 1 << (kPlaneBits - 1);
@@ -22,11 +26,6 @@ constexpr double kMaxStops = 28;
 constexpr int kRowsAtOnce = 16;
 constexpr float kMaxLuminance = 1e30f;                 // sums and squares stay finite
 constexpr float kWhiteU = .19784f, kWhiteV = .46832f;  // D65
-
-// CIE XYZ of Rec.709 primaries, ITU-R BT.709-6 and IEC 61966-2-1; luminance exactly as elsewhere.
-const glm::mat3 kXyzFromRgb(.4124f, kLuminance[0], .0193f, .3576f, kLuminance[1], .1192f, .1805f,
-                            kLuminance[2], .9505f);
-const glm::mat3 kRgbFromXyz(glm::inverse(glm::dmat3(kXyzFromRgb)));
 
 std::int32_t plane_code(float v) {
   return static_cast<std::int32_t>(std::clamp(v + .5f, 0.f, float{kMaxCode}));
@@ -105,6 +104,16 @@ void fill_codes(std::span<const Rgb> row, const LightScale& scale, double darkes
 }
 
 }  // namespace
+
+Rgb inside_rec709(const Rgb& p) {
+  const float y = luminance_kept(p);
+  return y > 0 ? inside_rec709(p, y) : Rgb{};
+}
+
+Result<void> check_light(const Image<Rgb>& radiance) {
+  PENUMBRA_TRY(range_of(radiance));
+  return {};
+}
 
 Result<LightPlanes> planes_from_rgb(const Image<Rgb>& radiance, double steps_per_stop) {
   PENUMBRA_ASSIGN(range, range_of(radiance));

@@ -83,6 +83,17 @@ def write_sun_hdr(path, width, height, sun):
     Path(path).write_bytes(head + bytes(pixels))
 
 
+def write_slope_hdr(path, width, height):
+    """Six stops from left to right with a texture, as flat RGBE."""
+    pixels = bytearray()
+    for y in range(height):
+        for x in range(width):
+            mantissa, exponent = math.frexp(2 ** (6 * x / width) * (1 + 0.1 * math.sin(0.7 * x + 0.4 * y)))
+            pixels += bytes([int(mantissa * part) for part in (256, 200, 120)] + [exponent + 128])
+    head = f"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y {height} +X {width}\n".encode()
+    Path(path).write_bytes(head + bytes(pixels))
+
+
 def write_lamp_hdr(path, width, height, lamp):
     """Black but for one pixel, as flat RGBE."""
     exponent = math.frexp(max(lamp))[1]

@@ -687,7 +687,7 @@ class Encode(CliTest):
 
     def test_a_sky_that_is_coded_lights_as_the_one_that_is_not(self):
         sky = self.root / "sun.hdr"
-        for name in ("sun.jph", "sun.jp2"):
+        for name in ("sun.jph", "sun.jp2", "sun.pnr"):
             coded = self.root / name
             report = self.run_json("encode", sky, "-o", coded, "--error", 2)
             self.assertEqual(report["bytes"], coded.stat().st_size)
@@ -695,6 +695,7 @@ class Encode(CliTest):
             self.assertLessEqual(report["luminance_error_percent"], 2)
             self.assertLessEqual(report["light_error_percent"], 2)
             self.assertEqual(self.run_json("inspect", coded)["kind"], "HDR picture")
+            self.run_json("tonemap", coded, "-o", self.root / "shown.png")
             light, truth = (self.run_json("light", "estimate", path, "--bands", 3) for path in (coded, sky))
             for own, true in zip(light["coefficients"], truth["coefficients"]):
                 for channel, value in zip(own, true):
@@ -705,10 +706,11 @@ class Encode(CliTest):
             self.assertLess(self.run_json("compare", coded, sky)["log10_rmse"], 0.0087)
 
     def test_a_projection_that_the_shape_does_not_tell_is_kept(self):
-        room, coded, back = (self.root / name for name in ("room.exr", "room.jph", "room_back.exr"))
+        room, back = (self.root / name for name in ("room.exr", "room_back.exr"))
         self.run_json("decode", self.root / "sun.hdr", "-o", self.root / "plain.exr")
         room.write_bytes(with_environment((self.root / "plain.exr").read_bytes()))
-        for exact in ((), ("--every-pixel",)):
+        for name, *exact in (("room.jph",), ("room.jph", "--every-pixel"), ("room.pnr",), ("room.pnr", "--base", "lossless")):
+            coded = self.root / name
             self.run_json("encode", room, "-o", coded, *exact)
             self.run_json("decode", coded, "-o", back)
             self.assertIn(b"envmap\0envmap\0\x01\0\0\0\0", back.read_bytes())
@@ -722,11 +724,25 @@ class Encode(CliTest):
         exact = self.run_json("encode", self.root / "sun.hdr", "-o", out, "--error", 0.1, "--every-pixel")
         self.assertLessEqual(exact["worst_luminance_error_percent"], 0.1)
 
+    def test_radiance_files_come_back_bit_for_bit(self):
+        sun, coded, back = self.root / "sun.hdr", self.root / "exact.pnr", self.root / "exact.hdr"
+        report = self.run_json("encode", sun, "-o", coded, "--base", "lossless")
+        self.assertLess(report["bytes"], sun.stat().st_size / 3)
+        self.assertEqual(report["worst_luminance_error_percent"], 0)
+        self.run_json("decode", coded, "-o", back)
+        self.assertEqual(self.run_json("compare", back, sun)["mse"], 0)
+
+    def test_a_base_that_goes_on_takes_less_than_one_that_does_not(self):
+        files.write_slope_hdr(self.root / "slope.hdr", 160, 60)
+        own, printed = (self.run_json("encode", self.root / "slope.hdr", "-o", self.root / f"{base}.pnr", "--base", base)
+                        for base in ("continuous", "adaptive"))
+        self.assertLess(own["bytes"], printed["bytes"] / 1.5)
+
     def test_coders_of_pictures_are_charted(self):
         out = self.root / "stills"
         rows = self.run_json("chart", "--still", self.root / "sun.hdr", "--out", out)["rows"]
         coders = {row["coder"] for row in rows}
-        self.assertEqual(len(coders), 12)
+        self.assertEqual(len(coders), 13)
         for coder in [name for name in coders if "JPEG 2000" in name]:
             own = sorted((row["bytes"], row["log10_luminance_rms"]) for row in rows if row["coder"] == coder)
             self.assertGreaterEqual(own[0][1], own[-1][1], coder)  # more bytes, no more error
@@ -742,15 +758,21 @@ class Encode(CliTest):
 
     def test_bad_input_is_one_line_and_leaves_nothing(self):
         sun, out = self.root / "sun.hdr", self.root / "bad.jph"
-        for words, arguments in ((["bad.png", ".jph", ".jp2"], [sun, "-o", self.root / "bad.png"]),
+        for words, arguments in ((["bad.png", ".jph", ".jp2", ".pnr"], [sun, "-o", self.root / "bad.png"]),
+                                 (["--base", ".pnr"], [sun, "-o", out, "--base", "adaptive"]),
+                                 (["--every-pixel", ".jph"], [sun, "-o", self.root / "bad.pnr", "--every-pixel"]),
+                                 (["--base", "lossless"], [sun, "-o", self.root / "bad.pnr", "--base", "lossless", "--error", 1]),
+                                 (["--size-kb", "bytes at least"], [sun, "-o", self.root / "bad.pnr", "--size-kb", 0.1]),
                                  (["none.hdr"], [self.root / "none.hdr", "-o", out]),
                                  (["--error"], [sun, "-o", out, "--error", 0]),
                                  (["--size-kb", "bytes at least"], [sun, "-o", out, "--size-kb", 0.1]),
                                  (["--size-kb", "--every-pixel"], [sun, "-o", out, "--size-kb", 9, "--every-pixel"])):
             self.expect_refusal(words, "encode", *arguments)
-        self.run_json("encode", sun, "-o", self.root / "whole.jph")
-        (self.root / "cut.jph").write_bytes((self.root / "whole.jph").read_bytes()[:-40])
-        self.expect_refusal(["cut.jph", "truncated"], "decode", self.root / "cut.jph", "-o", self.root / "bad.exr")
+        for kind, word in ((".jph", "truncated"), (".pnr", "damaged")):
+            whole, cut = self.root / ("whole" + kind), self.root / ("cut" + kind)
+            self.run_json("encode", sun, "-o", whole)
+            cut.write_bytes(whole.read_bytes()[:-40])
+            self.expect_refusal(["cut" + kind, word], "decode", cut, "-o", self.root / "bad.exr")
         self.assertEqual(list(self.root.glob("bad*")), [])
 
 

@@ -137,7 +137,7 @@ void add_chart(CLI::App& parent, Action& action) {
   c->add_option("--out", chart_options.output, "Folder for the results")->capture_default_str();
   c->add_option(
       "--environment", chart_options.environments,
-      "HDR environment maps: .exr, .hdr, .jph, .jp2, or .jpg with a gain map; by default the "
+      "HDR environment maps: .exr, .hdr, .jph, .jp2, .pnr, or .jpg with a gain map; by default the "
       "built-in ones");
   c->add_flag("--with-procedural", chart_options.with_procedural,
               "Add the built-in environments to those of --environment");

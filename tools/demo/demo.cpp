@@ -230,7 +230,7 @@ void add_demo(CLI::App& app, Action& action) {
   app.add_option("--out", demo_options.output, "Folder for the results")->capture_default_str();
   app.add_option(
       "--environment", demo_options.environment,
-      "HDR environment map: .exr, .hdr, .jph, .jp2, or .jpg with a gain map; by default the "
+      "HDR environment map: .exr, .hdr, .jph, .jp2, .pnr, or .jpg with a gain map; by default the "
       "built-in room");
   app.add_option("--rotate-environment", demo_options.rotation_deg, kRotationHelp)
       ->capture_default_str();

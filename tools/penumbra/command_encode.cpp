@@ -5,10 +5,12 @@
 #include <algorithm>
 #include <cmath>
 #include <filesystem>
+#include <functional>
 #include <optional>
 #include <string>
 
 #include "codec/codec.h"
+#include "codec/dct/rgbe_still.h"
 #include "codec/log/log_jpeg2000.h"
 #include "core/io/files.h"
 #include "core/io/log.h"
@@ -20,10 +22,13 @@ namespace penumbra::tools {
 
 namespace {
 
+constexpr double kErrorPercent = 2;
+
 struct EncodeOptions {
   std::string input, output;
-  double error_percent = 2;
+  double error_percent = kErrorPercent;
   std::optional<double> size_kb;
+  std::string base;
   bool every_pixel = false, json = false;
 };
 
@@ -34,22 +39,59 @@ struct DecodeOptions {
 
 constexpr double kBytesPerKb = 1000;
 
-Result<codec::WaveletCoder> coder_by_name(const std::string& path) {
-  const std::string extension = lower_extension(path);
-  if (extension == ".jph") return codec::WaveletCoder::kFast;
-  if (extension == ".jp2") return codec::WaveletCoder::kSmall;
-  return fail(ErrorCode::kInvalid, path, "ends neither in .jph nor in .jp2");
-}
-
-bool has_unseen(const codec::HdrImage& image) {
-  return std::ranges::any_of(image.alpha.pixels(), [](float a) { return a < 1; });
-}
-
 codec::StillGoal goal_of(const EncodeOptions& o) {
   codec::StillGoal goal;
   goal.deviation = std::log10(1 + o.error_percent / 100);
   if (o.size_kb) goal.max_bytes = static_cast<std::size_t>(*o.size_kb * kBytesPerKb);
   return goal;
+}
+
+constexpr const char* kContinuous = "continuous";
+constexpr const char* kAdaptive = "adaptive";
+constexpr const char* kLossless = "lossless";
+
+using Encoding = std::function<Result<codec::CodedStill>(const codec::HdrImage&)>;
+
+Encoding by_wavelets(const EncodeOptions& o, codec::WaveletCoder coder) {
+  const auto encode =
+      o.every_pixel ? codec::encode_log_jpeg2000_exactly : codec::encode_log_jpeg2000;
+  return [=, goal = goal_of(o)](const codec::HdrImage& in) {
+    return encode(in.pixels, goal, coder, in.environment);
+  };
+}
+
+Encoding by_cosines(const EncodeOptions& o) {
+  if (o.base == kLossless)
+    return [](const codec::HdrImage& in) {
+      return codec::encode_rgbe_still_as(in.pixels, {.base = codec::RgbeBase::kLossless},
+                                         in.environment);
+    };
+  const auto base =
+      o.base == kAdaptive ? codec::RgbeBase::kAdaptiveJpeg : codec::RgbeBase::kContinuous;
+  return [=, goal = goal_of(o)](const codec::HdrImage& in) {
+    return codec::encode_rgbe_still(in.pixels, goal, base, in.environment);
+  };
+}
+
+Result<Encoding> encoding_of(const EncodeOptions& o) {
+  const std::string extension = lower_extension(o.output);
+  if (extension == ".pnr") {
+    if (o.every_pixel)
+      return fail(ErrorCode::kInvalid, "--every-pixel",
+                  "goes with .jph and .jp2; --base lossless keeps what RGBE holds of each pixel");
+    if (o.base == kLossless && (o.size_kb || o.error_percent != kErrorPercent))
+      return fail(ErrorCode::kInvalid, "--base",
+                  "lossless takes what it takes: no --error and no --size-kb");
+    return by_cosines(o);
+  }
+  if (!o.base.empty()) return fail(ErrorCode::kInvalid, "--base", "goes with .pnr alone");
+  if (extension == ".jph") return by_wavelets(o, codec::WaveletCoder::kFast);
+  if (extension == ".jp2") return by_wavelets(o, codec::WaveletCoder::kSmall);
+  return fail(ErrorCode::kInvalid, o.output, "ends neither in .jph, .jp2 nor .pnr");
+}
+
+bool has_unseen(const codec::HdrImage& image) {
+  return std::ranges::any_of(image.alpha.pixels(), [](float a) { return a < 1; });
 }
 
 void report_encoded(const EncodeOptions& o, const Image<Rgb>& pixels,
@@ -79,15 +121,12 @@ Result<void> encode(const EncodeOptions& o) {
   if (o.every_pixel && o.size_kb)
     return fail(ErrorCode::kInvalid, "--size-kb",
                 "does not go with --every-pixel, which takes what it takes");
-  PENUMBRA_ASSIGN(coder, coder_by_name(o.output));
+  PENUMBRA_ASSIGN(encode_as, encoding_of(o));
   PENUMBRA_TRY(check_writable(o.output));
   PENUMBRA_ASSIGN(input, codec::read_hdr(o.input));
   if (has_unseen(input))
     log_warning("{}: its alpha, which says what was seen, is not kept", o.input);
-  const codec::StillGoal goal = goal_of(o);
-  const auto encode_as =
-      o.every_pixel ? codec::encode_log_jpeg2000_exactly : codec::encode_log_jpeg2000;
-  const auto coded = encode_as(input.pixels, goal, coder, input.environment);
+  const auto coded = encode_as(input);
   if (!coded) {
     const bool of_goal = coded.error().where == "goal";
     return fail(coded.error().code, of_goal ? (o.size_kb ? "--size-kb" : "--error") : o.input,
@@ -124,11 +163,12 @@ Result<void> decode(const DecodeOptions& o) {
 void add_encode(CLI::App& parent, Action& action) {
   static EncodeOptions o;
   auto* c = parent.add_subcommand("encode", "Make an HDR picture small, to a stated error");
-  c->add_option("input", o.input, "HDR picture: .exr, .hdr, .jph, .jp2, or .jpg with a gain map")
+  c->add_option("input", o.input,
+                "HDR picture: .exr, .hdr, .jph, .jp2, .pnr, or .jpg with a gain map")
       ->required();
   c->add_option("-o,--output", o.output,
-                "Picture to write: .jph (High-Throughput JPEG 2000), or .jp2 (JPEG 2000: a tenth "
-                "smaller, several times as slow to write)")
+                "Picture to write: .jph (High-Throughput JPEG 2000), .jp2 (JPEG 2000: a tenth "
+                "smaller, several times as slow to write), or .pnr (RGBE by cosines)")
       ->required();
   auto* error =
       c->add_option("--error", o.error_percent,
@@ -143,6 +183,10 @@ void add_encode(CLI::App& parent, Action& action) {
       ->excludes(error);
   c->add_flag("--every-pixel", o.every_pixel,
               "Keep --error in each pixel, not in the mean over them");
+  c->add_option("--base", o.base,
+                "Of .pnr, how RGBE's bases are coded: continuous (the default), adaptive (finer "
+                "steps where exponents differ), lossless (RGBE as it is)")
+      ->check(CLI::IsMember({kContinuous, kAdaptive, kLossless}));
   add_json(c, o.json);
   c->callback([&] { action = [] { return encode(o); }; });
 }
@@ -150,7 +194,8 @@ void add_encode(CLI::App& parent, Action& action) {
 void add_decode(CLI::App& parent, Action& action) {
   static DecodeOptions o;
   auto* c = parent.add_subcommand("decode", "Write any HDR picture as OpenEXR or Radiance");
-  c->add_option("input", o.input, "HDR picture: .jph, .jp2, .exr, .hdr, or .jpg with a gain map")
+  c->add_option("input", o.input,
+                "HDR picture: .jph, .jp2, .pnr, .exr, .hdr, or .jpg with a gain map")
       ->required();
   c->add_option("-o,--output", o.output, "Picture to write: .exr or .hdr")->required();
   add_json(c, o.json);

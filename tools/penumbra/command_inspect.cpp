@@ -370,7 +370,7 @@ Result<json> describe(const std::string& file) {
   if (extension == ".pdf") return inspect_page(file);
   auto picture = inspect_picture(file);  // whatever its name
   const bool named_so =
-      is_one_of({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".exr", ".hdr", ".jph", ".jp2"});
+      is_one_of({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".exr", ".hdr", ".jph", ".jp2", ".pnr"});
   if (picture || named_so || picture.error().code == ErrorCode::kNotFound) return picture;
   return fail(ErrorCode::kUnreadable, file,
               "is nothing that inspect understands: a picture (PNG, JPEG, TIFF, OpenEXR, Radiance "

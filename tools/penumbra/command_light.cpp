@@ -78,7 +78,7 @@ void add_light_estimate(CLI::App& parent, Action& action) {
   auto* c = parent.add_subcommand(
       "estimate", "Estimate spherical harmonics and distant lights of an HDR environment map");
   c->add_option("environment", estimate.environment,
-                "HDR environment map: .exr, .hdr, .jph, .jp2, or .jpg with a gain map")
+                "HDR environment map: .exr, .hdr, .jph, .jp2, .pnr, or .jpg with a gain map")
       ->required();
   add_orientation(*c, estimate.orientation);
   c->add_option("--bands", estimate.bands, kBandsOfMapHelp)->capture_default_str();

@@ -118,7 +118,7 @@ void add_render(CLI::App& parent, Action& action) {
       "render", "Render a still of a scene in an environment, in linear radiance");
   c->add_option("--scene", render_options.scene, "Scene to render, scene.toml")->required();
   c->add_option("--environment", render_options.environment,
-                "HDR environment map: .exr, .hdr, .jph, .jp2, or .jpg with a gain map")
+                "HDR environment map: .exr, .hdr, .jph, .jp2, .pnr, or .jpg with a gain map")
       ->required();
   add_orientation(*c, render_options.orientation);
   c->add_option("--camera", render_options.camera,

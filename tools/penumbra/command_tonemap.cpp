@@ -189,7 +189,7 @@ void add_tonemap(CLI::App& parent, Action& action) {
   auto* c = parent.add_subcommand("tonemap", "Show HDR pictures on an ordinary display");
   c->add_option(
        "input", o.inputs,
-       "HDR picture: .exr, .hdr, .jph, .jp2, or .jpg with a gain map; several, or a folder "
+       "HDR picture: .exr, .hdr, .jph, .jp2, .pnr, or .jpg with a gain map; several, or a folder "
        "of them, follow each other as a video")
       ->required();
   c->add_option(

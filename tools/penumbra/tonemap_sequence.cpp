@@ -84,7 +84,7 @@ class ShownPictures {
 }  // namespace
 
 Result<std::vector<fs::path>> pictures_of(const fs::path& path) {
-  constexpr std::string_view kExtensions[] = {".exr", ".hdr", ".jph", ".jp2"};
+  constexpr std::string_view kExtensions[] = {".exr", ".hdr", ".jph", ".jp2", ".pnr"};
   std::error_code error;
   if (!fs::is_directory(path, error)) return std::vector{path};
   std::vector<fs::path> out;

@@ -7,7 +7,7 @@
 #include <cstring>
 #include <memory>
 
-#include "tools/chart/peers/internal/dct_coding.h"
+#include "codec/dct/dct_coding.h"
 
 namespace penumbra::tools {
 
@@ -43,7 +43,7 @@ float joined(std::uint8_t base, std::uint8_t exponent, std::uint8_t negative) {
 }
 
 struct VideoModels {
-  BlockModels block;
+  codec::BlockModels block;
   codec::NumberModel motion[2];
   codec::NumberModel exponent[3];
   std::array<codec::BitModel, 8> negative;
@@ -137,8 +137,8 @@ class Coder {
           motion.x = std::clamp(stream_.number(models_->motion[0], motion.x), -kReach, kReach);
           motion.y = std::clamp(stream_.number(models_->motion[1], motion.y), -kReach, kReach);
         }
-        for (int y = my; y < std::min(my + kMacro, height_); y += kBlock)
-          for (int x = mx; x < std::min(mx + kMacro, width_); x += kBlock)
+        for (int y = my; y < std::min(my + kMacro, height_); y += codec::kBlock)
+          for (int x = mx; x < std::min(mx + kMacro, width_); x += codec::kBlock)
             block(p, x, y, key, motion, out);
       }
     p.base = std::move(out);
@@ -147,24 +147,25 @@ class Coder {
   void block(const Planes& p, int x0, int y0, bool key, Motion motion, Image<std::uint8_t>& out) {
     int low = 255, high = 0;
     for (int i = 0; i < 64; ++i) {
-      const int e = at(p.exponent, x0 + i % kBlock, y0 + i / kBlock);
+      const int e = at(p.exponent, x0 + i % codec::kBlock, y0 + i / codec::kBlock);
       low = std::min(low, e);
       high = std::max(high, e);
     }
-    const float finer = finer_where_exponents_differ(low, high);
-    DctBlock guess{}, in{};
+    const float finer = codec::finer_where_exponents_differ(low, high);
+    codec::DctBlock guess{}, in{};
     for (int i = 0; i < 64; ++i) {
-      const int x = x0 + i % kBlock, y = y0 + i / kBlock;
+      const int x = x0 + i % codec::kBlock, y = y0 + i / codec::kBlock;
       guess[static_cast<std::size_t>(i)] = key ? 128 : at(before_.base, x + motion.x, y + motion.y);
       in[static_cast<std::size_t>(i)] =
           static_cast<float>(at(p.base, x, y)) - guess[static_cast<std::size_t>(i)];
     }
-    DctBlock coded = Stream::kWrites ? transformed(in, false) : DctBlock{};
-    code_block(stream_, models_->block, coded,
-               [&](int i) { return quantiser(kLuminanceSteps, quality_, i) / finer; });
-    const DctBlock back = transformed(coded, true);
+    codec::DctBlock coded = Stream::kWrites ? codec::transformed(in, false) : codec::DctBlock{};
+    codec::code_block(stream_, models_->block, coded, [&](int i) {
+      return codec::quantiser(codec::kLuminanceSteps, codec::table_scale(quality_), i) / finer;
+    });
+    const codec::DctBlock back = codec::transformed(coded, true);
     for (int i = 0; i < 64; ++i) {
-      const int x = x0 + i % kBlock, y = y0 + i / kBlock;
+      const int x = x0 + i % codec::kBlock, y = y0 + i / codec::kBlock;
       if (x >= width_ || y >= height_) continue;
       out.at(x, y) = static_cast<std::uint8_t>(
           std::clamp(back[static_cast<std::size_t>(i)] + guess[static_cast<std::size_t>(i)] + .5f,
@@ -201,8 +202,8 @@ Result<std::vector<unsigned char>> encode_rgbe_video(std::span<const Image<float
                  static_cast<std::uint16_t>(quality),
                  static_cast<std::uint16_t>(key_interval)};
   std::memcpy(head.magic, kMagic, sizeof kMagic);
-  BitWriter writer;
-  Coder<BitWriter> coder(writer, maps[0].width(), maps[0].height(), quality);
+  codec::BitWriter writer;
+  Coder<codec::BitWriter> coder(writer, maps[0].width(), maps[0].height(), quality);
   for (std::size_t i = 0; i < maps.size(); ++i) {
     if (maps[i].width() != maps[0].width() || maps[i].height() != maps[0].height())
       return fail(ErrorCode::kInvalid, "maps", "differ in size");
@@ -231,8 +232,8 @@ Result<std::vector<Image<float>>> decode_rgbe_video(std::span<const unsigned cha
       head.height < 1 || head.height > kMaxSide || head.quality < 1 || head.quality > 100 ||
       head.key_interval < 1 || area * head.maps > std::uint64_t{1} << 28)
     return fail(ErrorCode::kUnreadable, name, "is damaged: its sizes are out of range");
-  BitReader reader(bytes.subspan(sizeof head));
-  Coder<BitReader> coder(reader, head.width, head.height, head.quality);
+  codec::BitReader reader(bytes.subspan(sizeof head));
+  Coder<codec::BitReader> coder(reader, head.width, head.height, head.quality);
   std::vector<Image<float>> out;
   for (std::uint32_t i = 0; i < head.maps; ++i) {
     Planes planes{{head.width, head.height}, {head.width, head.height}, {head.width, head.height}};

@@ -11,12 +11,13 @@
 #include <utility>
 
 #include "codec/codec.h"
+#include "codec/dct/dct_coding.h"
+#include "codec/dct/rgbe_still.h"
 #include "codec/gain_map_jpeg.h"
 #include "codec/log/log_jpeg2000.h"
 #include "codec/tone/tone_mapping.h"
 #include "tools/chart/peers/internal/jpeg_xl.h"
 #include "tools/chart/peers/light_coders.h"
-#include "tools/chart/peers/rgbe_still.h"
 
 namespace penumbra::tools {
 
@@ -57,31 +58,36 @@ Result<CodedPicture> read_back(const std::filesystem::path& file, CodedPicture o
   return out;
 }
 
-Result<CodedPicture> code_as_log_jpeg2000(
-    const std::function<Result<codec::CodedStill>()>& encode) {
+using StillReader = Result<codec::HdrImage> (*)(std::span<const unsigned char>, const std::string&);
+
+Result<CodedPicture> code_still(const std::function<Result<codec::CodedStill>()>& encode,
+                                StillReader read) {
   return run_coder(
       [&]() -> Result<StillBytes> {
         PENUMBRA_ASSIGN(coded, encode());
         return std::move(coded.bytes);
       },
-      [](const StillBytes& bytes) -> Result<Image<Rgb>> {
-        PENUMBRA_ASSIGN(image, codec::decode_log_jpeg2000(bytes, "picture"));
+      [&](const StillBytes& bytes) -> Result<Image<Rgb>> {
+        PENUMBRA_ASSIGN(image, read(bytes, "picture"));
         return std::move(image.pixels);
       });
 }
 
 Result<CodedPicture> code_within_bytes(const Image<Rgb>& picture, codec::WaveletCoder coder,
                                        std::size_t max_bytes) {
-  return code_as_log_jpeg2000(
-      [&] { return codec::encode_log_jpeg2000(picture, {.max_bytes = max_bytes}, coder); });
+  return code_still(
+      [&] { return codec::encode_log_jpeg2000(picture, {.max_bytes = max_bytes}, coder); },
+      codec::decode_log_jpeg2000);
 }
 
 // Every pixel within an error, in place of the fewest bits for the mean.
 Result<CodedPicture> code_every_pixel(const Image<Rgb>& picture, double error) {
-  return code_as_log_jpeg2000([&] {
-    return codec::encode_log_jpeg2000_exactly(picture, {.deviation = std::log10(1 + error)},
-                                              codec::WaveletCoder::kSmall);
-  });
+  return code_still(
+      [&] {
+        return codec::encode_log_jpeg2000_exactly(picture, {.deviation = std::log10(1 + error)},
+                                                  codec::WaveletCoder::kSmall);
+      },
+      codec::decode_log_jpeg2000);
 }
 
 Result<CodedPicture> code_as_gain_map(const Image<Rgb>& picture, int quality) {
@@ -96,9 +102,14 @@ Result<CodedPicture> code_as_gain_map(const Image<Rgb>& picture, int quality) {
       });
 }
 
-Result<CodedPicture> code_as_rgbe(const Image<Rgb>& picture, RgbeBase base, int quality) {
-  return run_coder([&] { return encode_rgbe_still(picture, base, quality); },
-                   [](const StillBytes& bytes) { return decode_rgbe_still(bytes, "picture"); });
+Result<CodedPicture> code_as_rgbe(const Image<Rgb>& picture, const codec::RgbeCoding& coding) {
+  return code_still([&] { return codec::encode_rgbe_still_as(picture, coding); },
+                    codec::decode_rgbe_still);
+}
+
+// A quality of JPEG's as what the coder takes.
+int coarseness_of(int quality) {
+  return static_cast<int>(std::lround(64 * codec::table_scale(quality)));
 }
 
 // Through a file, whose bytes stay in the system's memory.
@@ -171,13 +182,19 @@ std::vector<StillCoder> still_coders(const std::filesystem::path& folder) {
   for (const double error : {.001, .01})
     out.push_back({"log JPEG 2000, every pixel (ours)", fmt::format("{} %", 100 * error),
                    [=](const Image<Rgb>& p) { return code_every_pixel(p, error); }});
-  for (const auto& [name, base] : {std::pair{"RGBE, AJPEG (Xu 2005)", RgbeBase::kAdaptiveJpeg},
-                                   {"RGBE, JPEG (Xu 2005)", RgbeBase::kJpeg}})
+  for (const int step : {150, 400, 1000, 2000, 4000})
+    out.push_back({"RGBE, continuous base (ours)", fmt::format("step {} of 4096 a stop", step),
+                   [=](const Image<Rgb>& p) { return code_as_rgbe(p, {.coarseness = step}); }});
+  for (const auto& [name, base] :
+       {std::pair{"RGBE, AJPEG (Xu 2005)", codec::RgbeBase::kAdaptiveJpeg},
+        {"RGBE, JPEG (Xu 2005)", codec::RgbeBase::kJpeg}})
     for (const int quality : {95, 85, 70, 50, 25})
-      out.push_back({name, fmt::format("quality {}", quality),
-                     [=](const Image<Rgb>& p) { return code_as_rgbe(p, base, quality); }});
-  out.push_back({"RGBE, arithmetic (Xu 2005)", "without loss",
-                 [](const Image<Rgb>& p) { return code_as_rgbe(p, RgbeBase::kLossless, 0); }});
+      out.push_back({name, fmt::format("quality {}", quality), [=](const Image<Rgb>& p) {
+                       return code_as_rgbe(p, {.base = base, .coarseness = coarseness_of(quality)});
+                     }});
+  out.push_back({"RGBE, arithmetic (Xu 2005)", "without loss", [](const Image<Rgb>& p) {
+                   return code_as_rgbe(p, {.base = codec::RgbeBase::kLossless});
+                 }});
   out.push_back({"RGBE, Radiance's run lengths", "without loss",
                  [=](const Image<Rgb>& p) { return code_as_radiance(p, folder); }});
   for (const float distance : {.3f, 1.f, 2.f, 4.f, 8.f})

@@ -1,9 +1,9 @@
 #include <algorithm>
 #include <numbers>
 
-#include "tools/chart/peers/internal/dct_coding.h"
+#include "codec/dct/dct_coding.h"
 
-namespace penumbra::tools {
+namespace penumbra::codec {
 
 const QuantiserTable kLuminanceSteps = {
     16, 11, 10, 16, 24,  40,  51,  61,  12, 12, 14, 19, 26,  58,  60,  55,
@@ -16,9 +16,11 @@ const QuantiserTable kColourSteps = {
     99, 99, 47, 66, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99,
     99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99};
 
-float quantiser(const QuantiserTable& table, int quality, int index) {
-  const float scale =
-      quality < 50 ? 50.f / static_cast<float>(quality) : 2 - static_cast<float>(quality) / 50;
+float table_scale(int quality) {
+  return quality < 50 ? 50.f / static_cast<float>(quality) : 2 - static_cast<float>(quality) / 50;
+}
+
+float quantiser(const QuantiserTable& table, float scale, int index) {
   return std::max(.125f, scale * static_cast<float>(table[static_cast<std::size_t>(index)]));
 }
 
@@ -73,4 +75,4 @@ const std::array<int, 64>& zigzag() {
   return order;
 }
 
-}  // namespace penumbra::tools
+}  // namespace penumbra::codec

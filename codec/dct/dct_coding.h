@@ -13,7 +13,8 @@
 
 #include "codec/range_coder.h"
 
-namespace penumbra::tools {
+#pragma GCC visibility push(default)
+namespace penumbra::codec {
 
 inline constexpr int kBlock = 8;
 
@@ -24,8 +25,11 @@ using QuantiserTable = std::array<int, 64>;
 /// ITU-T T.81, tables K.1 and K.2 (Xu 2005, equation 4.5).
 extern const QuantiserTable kLuminanceSteps, kColourSteps;
 
-/// The step of coefficient `index`; quality 1..100 as JPEG's.
-float quantiser(const QuantiserTable& table, int quality, int index);
+/// How many times the table's steps a quality of 1..100 takes, as JPEG's.
+float table_scale(int quality);
+
+/// The step of coefficient `index`.
+float quantiser(const QuantiserTable& table, float scale, int index);
 
 /// By how much steps are divided in a block of these exponents, smallest and largest: an error of
 /// the base is one of a larger value where exponents differ.
@@ -41,19 +45,19 @@ DctBlock transformed(const DctBlock& in, bool inverse);
 const std::array<int, 64>& zigzag();
 
 struct BlockModels {
-  std::array<codec::NumberModel, 64> coefficient;
+  std::array<NumberModel, 64> coefficient;
   // Is the coefficient at this place the last that is not zero?
-  std::array<codec::BitModel, 64> last;
-  codec::BitModel empty;
+  std::array<BitModel, 64> last;
+  BitModel empty;
 };
 
 class BitWriter {
  public:
-  bool bit(codec::BitModel& m, bool v) {
+  bool bit(BitModel& m, bool v) {
     range_.bit(m, v);
     return v;
   }
-  int number(codec::NumberModel& m, int v) {
+  int number(NumberModel& m, int v) {
     m.encode(range_, v);
     return v;
   }
@@ -61,18 +65,18 @@ class BitWriter {
   static constexpr bool kWrites = true;
 
  private:
-  codec::RangeEncoder range_;
+  RangeEncoder range_;
 };
 
 class BitReader {
  public:
   explicit BitReader(std::span<const unsigned char> bytes) : range_(bytes) {}
-  bool bit(codec::BitModel& m, bool) { return range_.bit(m); }
-  int number(codec::NumberModel& m, int) { return m.decode(range_); }
+  bool bit(BitModel& m, bool) { return range_.bit(m); }
+  int number(NumberModel& m, int) { return m.decode(range_); }
   static constexpr bool kWrites = false;
 
  private:
-  codec::RangeDecoder range_;
+  RangeDecoder range_;
 };
 
 /// In: coefficients (writing), any (reading); afterwards what a reader gets. `step_of` gives the
@@ -98,4 +102,5 @@ void code_block(Stream& stream, BlockModels& models, DctBlock& block, const auto
   }
 }
 
-}  // namespace penumbra::tools
+}  // namespace penumbra::codec
+#pragma GCC visibility pop

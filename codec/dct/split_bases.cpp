@@ -1,5 +1,3 @@
-#include "tools/chart/peers/rgbe_still.h"
-
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -7,19 +5,14 @@
 #include <cstring>
 #include <memory>
 
-#include "tools/chart/peers/internal/dct_coding.h"
+#include "codec/dct/dct_coding.h"
+#include "codec/internal/rgbe_bases.h"
 
-namespace penumbra::tools {
+namespace penumbra::codec {
 
 namespace {
 
-constexpr int kMaxStillSide = 65535, kRestlessness = 8;
-constexpr std::int64_t kMaxStillArea = 1 << 26;
-
-bool holds(std::int64_t width, std::int64_t height) {
-  return width > 0 && height > 0 && std::max(width, height) <= kMaxStillSide &&
-         width * height <= kMaxStillArea;
-}
+constexpr int kRestlessness = 8;
 
 using BytePlane = Image<std::uint8_t>;
 
@@ -33,7 +26,7 @@ struct RgbePlanes {
 };
 
 // Equation 4.2, rounded as Radiance's files are; 0 has exponent 0.
-RgbePlanes planes_of(const Image<Rgb>& picture) {
+RgbePlanes rgbe_of(const Image<Rgb>& picture) {
   RgbePlanes out(picture.width(), picture.height());
   for (std::size_t i = 0; i < picture.area(); ++i) {
     const Rgb& p = picture.pixels()[i];
@@ -64,9 +57,9 @@ Image<Rgb> picture_of(const RgbePlanes& in) {
   return out;
 }
 
-struct StillModels {
-  codec::NumberModel exponent[27];  // by how three neighbours stand to each other
-  codec::NumberModel base[3][kRestlessness];
+struct SplitModels {
+  NumberModel exponent[27];  // by how three neighbours stand to each other
+  NumberModel base[3][kRestlessness];
   std::array<BlockModels, 2> block;  // luminance, colours
 };
 
@@ -76,10 +69,12 @@ int middle_of(int left, int upper, int corner) {
 }
 
 template <class Stream>
-class StillCoding {
+class SplitCoding {
  public:
-  StillCoding(Stream& stream, RgbeBase base, int quality)
-      : stream_(stream), base_(base), quality_(quality) {}
+  SplitCoding(Stream& stream, const RgbeCoding& coding)
+      : stream_(stream),
+        base_(coding.base),
+        scale_(static_cast<float>(coding.coarseness) / kTableCoarseness) {}
 
   /// In: what is to be coded (writing), any (reading); afterwards what a reader gets.
   void code(RgbePlanes& p) {
@@ -167,7 +162,7 @@ class StillCoding {
         }
         const float divided = finer(exponents, x0, y0, colour ? 2 : 1);
         code_block(stream_, models_->block[colour], block,
-                   [&](int i) { return quantiser(table, quality_, i) / divided; });
+                   [&](int i) { return quantiser(table, scale_, i) / divided; });
         block = transformed(block, true);
         for (int i = 0; i < 64; ++i) {
           const int x = x0 + i % kBlock, y = y0 + i / kBlock;
@@ -228,59 +223,25 @@ class StillCoding {
 
   Stream& stream_;
   RgbeBase base_;
-  int quality_;
-  std::unique_ptr<StillModels> models_ = std::make_unique<StillModels>();
+  float scale_;
+  std::unique_ptr<SplitModels> models_ = std::make_unique<SplitModels>();
 };
-
-struct StillHead {
-  char magic[8];
-  std::uint16_t width, height;
-  std::uint8_t base, quality;
-};
-constexpr char kStillMagic[8] = {'P', 'N', 'B', 'S', 'T', 'I', 'L', '1'};
 
 }  // namespace
 
-Result<std::vector<unsigned char>> encode_rgbe_still(const Image<Rgb>& picture, RgbeBase base,
-                                                     int quality) {
-  if (picture.empty() || !holds(picture.width(), picture.height()))
-    return fail(ErrorCode::kInvalid, "picture", "is empty, or larger than 64 megapixels");
-  if (base != RgbeBase::kLossless && (quality < 1 || quality > 100))
-    return fail(ErrorCode::kInvalid, "quality", "is not within 1..100");
-  for (const Rgb& p : picture.pixels())
-    if (!(p.r < 0x1p126f && p.g < 0x1p126f && p.b < 0x1p126f))
-      return fail(ErrorCode::kInvalid, "picture", "has a value that RGBE cannot hold");
-  StillHead head{{},
-                 static_cast<std::uint16_t>(picture.width()),
-                 static_cast<std::uint16_t>(picture.height()),
-                 static_cast<std::uint8_t>(base),
-                 static_cast<std::uint8_t>(base == RgbeBase::kLossless ? 0 : quality)};
-  std::memcpy(head.magic, kStillMagic, sizeof kStillMagic);
+std::vector<unsigned char> write_split_bases(const Image<Rgb>& picture, const RgbeCoding& coding) {
   BitWriter writer;
-  RgbePlanes planes = planes_of(picture);
-  StillCoding(writer, base, quality).code(planes);
-  std::vector<unsigned char> out(sizeof head);
-  std::memcpy(out.data(), &head, sizeof head);
-  const std::vector<unsigned char> body = writer.finish();
-  out.insert(out.end(), body.begin(), body.end());
-  return out;
+  RgbePlanes planes = rgbe_of(picture);
+  SplitCoding(writer, coding).code(planes);
+  return writer.finish();
 }
 
-Result<Image<Rgb>> decode_rgbe_still(std::span<const unsigned char> bytes,
-                                     const std::string& name) {
-  StillHead head{};
-  if (bytes.size() < sizeof head || std::memcmp(bytes.data(), kStillMagic, sizeof kStillMagic) != 0)
-    return fail(ErrorCode::kUnreadable, name, "is not a picture in RGBE");
-  std::memcpy(&head, bytes.data(), sizeof head);
-  const auto base = static_cast<RgbeBase>(head.base);
-  const bool lossless = base == RgbeBase::kLossless;
-  if (!holds(head.width, head.height) || head.base > 2 || head.quality > 100 ||
-      lossless != (head.quality == 0))
-    return fail(ErrorCode::kUnreadable, name, "is damaged: its sizes are out of range");
-  BitReader reader(bytes.subspan(sizeof head));
-  RgbePlanes planes(head.width, head.height);
-  StillCoding(reader, base, head.quality).code(planes);
+Image<Rgb> read_split_bases(std::span<const unsigned char> bytes, int width, int height,
+                            const RgbeCoding& coding) {
+  BitReader reader(bytes);
+  RgbePlanes planes(width, height);
+  SplitCoding(reader, coding).code(planes);
   return picture_of(planes);
 }
 
-}  // namespace penumbra::tools
+}  // namespace penumbra::codec
