@@ -23,7 +23,7 @@ constexpr int kMinColour = kColourOne / 10, kMaxColour = kColourOne * 2 / 3;  //
 
 using CodePlane = Image<std::int32_t>;
 
-// Codes of luminance, of u' and v' at half resolution, and exponents, which are 0 where it is black.
+// Codes of luminance, of u' and v' at half resolution, and exponents, which are 0 for black.
 struct ContinuousPlanes {
   CodePlane luminance;
   std::array<CodePlane, 2> colour;
@@ -321,10 +321,10 @@ class ContinuousCoding {
   }
 
   // The largest channel, as a mantissa of some bits: what its exponent is expected to be.
-  struct Expected {
+  struct LikelyExponent {
     int exponent = 0, sixteenth = 0;  // of the way to the next one
   };
-  static Expected expected(const CodedLuminance& y, const Channels& c) {
+  static LikelyExponent likely_exponent(const CodedLuminance& y, const Channels& c) {
     const std::int64_t largest = std::max({c.of[0], c.of[1], c.of[2]});
     const auto n = static_cast<std::uint64_t>(
         std::max<std::int64_t>(16, (y.mantissa * largest << kFineBits) / c.luminance));
@@ -350,7 +350,7 @@ class ContinuousCoding {
         }
         const CodedLuminance light = luminance_of_code(p.luminance.at(x, y));
         const Channels channels = channels_of(colour_at(p, x, y));
-        const Expected guess = expected(light, channels);
+        const LikelyExponent guess = likely_exponent(light, channels);
         const int left = x > 0 ? missed.at(x - 1, y) : 0, upper = y > 0 ? missed.at(x, y - 1) : 0;
         const int context =
             guess.sixteenth * 9 + (std::clamp(left, -1, 1) + 1) * 3 + std::clamp(upper, -1, 1) + 1;

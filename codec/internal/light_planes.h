@@ -12,10 +12,10 @@
 
 namespace penumbra::codec {
 
-/// CIE XYZ of Rec.709's primaries, ITU-R BT.709-6 and IEC 61966-2-1; luminance exactly as elsewhere.
+/// CIE XYZ of Rec.709's primaries, ITU-R BT.709-6 and IEC 61966-2-1; luminance as elsewhere.
 extern const glm::mat3 kXyzFromRgb, kRgbFromXyz;
 
-/// Without components below 0, at the pixel's luminance, or, where it has none, at that of the rest.
+/// Without components below 0, at the pixel's luminance, or, where that is not above 0, the rest's.
 Rgb inside_rec709(const Rgb& p);
 
 /// errors: kNonFinite, kInvalid (first pixel that is not finite, or brighter than 1e30)
