@@ -301,7 +301,8 @@ TEST(ObjectMoves, BadPlacesAreRefusedAndChangeNothing) {
   for (const ObjectPlace& place : {ObjectPlace{{NAN, 0, 0}, 0}, ObjectPlace{{0, 0, 0}, INFINITY}})
     EXPECT_EQ(moves.put("cup", place).error().code, ErrorCode::kNonFinite);
   for (const ObjectPlace& place :
-       {ObjectPlace{{0, -.2, 0}, 0}, ObjectPlace{{1e9, 0, 0}, 0}, ObjectPlace{{0, 1e5, 0}, 0}})
+       {ObjectPlace{{0, -.2, 0}, 0}, ObjectPlace{{1e9, 0, 0}, 0}, ObjectPlace{{0, 1e5, 0}, 0},
+        ObjectPlace{{0, 0, 0}, 1e30}, ObjectPlace{{0, 0, 0}, 0, 0, -1e30}})
     EXPECT_EQ(moves.put("cup", place).error().code, ErrorCode::kInvalid);
   EXPECT_EQ(moves.put("cup", {{0, 0, 0}, 0, NAN}).error().code, ErrorCode::kNonFinite);
   const auto track = moves.follow({{{0, "cup", {{1, 0, 0}, 0}}, {1.5, "cup", {{1, -3, 0}, 0}}}});
