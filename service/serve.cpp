@@ -385,9 +385,11 @@ Result<void> Service::compose(capture::FrameSource& source, const std::atomic<bo
   attached.reset();  // nobody asks for another bake
   if (!failed && !counts) failed = counts.error();
   if (!failed) {
-    log_info("stopped after {} frames in {:.1f} s; {} view and {} environment frames dropped",
-             counts->frames, counts->seconds, counts->overtaken.view,
-             counts->overtaken.environment);
+    log_info(
+        "stopped after {} frames in {:.1f} s; {} view, {} environment and {} foreground frames "
+        "dropped",
+        counts->frames, counts->seconds, counts->overtaken.view, counts->overtaken.environment,
+        counts->overtaken.foreground);
     tell_losses(source.cameras(), source.counts());
   }
   if (keeper.is_busy()) end_at_once(failed);

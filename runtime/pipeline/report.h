@@ -95,6 +95,8 @@ inline nlohmann::json to_json(const lighting::LightEstimate& e) {
 inline nlohmann::json to_json(const OvertakenFrames& frames) {
   return {{"view", frames.view},
           {"environment", frames.environment},
+          {"foreground", frames.foreground},
+          {"for_light", frames.for_light},
           {"unmatched_eyes", frames.unmatched_eyes}};
 }
 

@@ -243,7 +243,12 @@ struct Live {
   std::uint64_t unusable = 0;                 // guarded by mutex
 
   OvertakenFrames overtaken() const {
-    return {view.dropped(), environment.dropped(), view.unmatched()};
+    OvertakenFrames out{.view = view.dropped(),
+                        .environment = environment.dropped(),
+                        .for_light = for_light.dropped(),
+                        .unmatched_eyes = view.unmatched()};
+    for (const auto& camera : foreground) out.foreground += camera.dropped();
+    return out;
   }
   void close() {
     environment.close();

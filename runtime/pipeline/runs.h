@@ -19,9 +19,11 @@ namespace penumbra::runtime {
 struct OvertakenFrames {
   std::uint64_t view = 0;         // while another one was composited
   std::uint64_t environment = 0;  // while the light was measured
+  std::uint64_t foreground = 0;   // of depth cameras and masks, while another one was composited
+  std::uint64_t for_light = 0;    // exposures of a view camera for the light alone, likewise
   // Eyes whose other one did not come; some were shown alone
   std::uint64_t unmatched_eyes = 0;
-  std::uint64_t all() const { return view + environment; }
+  std::uint64_t all() const { return view + environment + foreground + for_light; }
 };
 
 struct RunCounts {

@@ -28,7 +28,7 @@ constexpr double kLifted_m = .01;       // nearer to its plane an object is lit 
 constexpr double kLifted = .04;         // or so much of its radius
 constexpr double kLeans_rad = 1e-3;     // what leans by less stands upright
 constexpr double kFarthest_m = 10'000;  // as in a scene's file
-constexpr double kMostTurns = 10'000;   // of any angle: beyond, degrees get lost
+constexpr double kMaxTurns = 10'000;    // of any angle: beyond, degrees get lost
 
 // Signed distance of a place from the plane that a pose stands on.
 double off_plane(const Pose& standing, const glm::dvec3& position) {
@@ -163,9 +163,9 @@ Result<void> ObjectMoves::check(std::size_t object, const ObjectPlace& place) co
     return fail(ErrorCode::kInvalid, where,
                 fmt::format("is put farther than {:.0f} m from the origin", kFarthest_m));
   if (std::max({std::abs(place.turn_rad), std::abs(place.lean_rad),
-                std::abs(place.lean_towards_rad)}) > 2 * kPi * kMostTurns)
+                std::abs(place.lean_towards_rad)}) > 2 * kPi * kMaxTurns)
     return fail(ErrorCode::kInvalid, where,
-                fmt::format("is turned by more than {:.0f} times 360 degrees", kMostTurns));
+                fmt::format("is turned by more than {:.0f} times 360 degrees", kMaxTurns));
   const double off = o.on_plane ? off_plane(o.world_from_bake, p) : 0;
   if (off < -kLifted_m)
     return fail(ErrorCode::kInvalid, where,

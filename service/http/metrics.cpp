@@ -59,6 +59,8 @@ void add_frames(const PublishedState::Snapshot& s, Metrics& m) {
   m.begin("penumbra_frames_overtaken_total", "counter", "Frames that newer ones overtook.");
   m.add(static_cast<double>(s.overtaken.view), "queue=\"view\"");
   m.add(static_cast<double>(s.overtaken.environment), "queue=\"environment\"");
+  m.add(static_cast<double>(s.overtaken.foreground), "queue=\"foreground\"");
+  m.add(static_cast<double>(s.overtaken.for_light), "queue=\"for_light\"");
   m.begin("penumbra_eyes_unmatched_total", "counter",
           "Eyes of a stereo rig whose other one did not come.");
   m.add(static_cast<double>(s.overtaken.unmatched_eyes));

@@ -638,7 +638,8 @@ function showHeader() {
   setText("uptime", duration(state.uptime_s));
   setText("frames", state.frames.toLocaleString("en"));
   setText("rate", `${fixed(state.frame_rate_hz, 1)} frames/s`);
-  setText("dropped", `${count(state.dropped.view, "view frame")}, ${state.dropped.environment} of the environment`);
+  setText("dropped", `${count(state.dropped.view, "view frame")}, ${state.dropped.environment} of the environment` +
+    (state.dropped.foreground ? `, ${state.dropped.foreground} of depth or masks` : ""));
 }
 function show(newest) {
   state = newest;

@@ -31,7 +31,8 @@ class DemoAndComposite(CliTest):
         self.assertLessEqual(SUMMARY_KEYS, set(summary))
         self.assertIsNone(summary["processor"])  # of a live run alone
         self.assertEqual(summary["frames"], 6)
-        self.assertEqual(summary["dropped"], {"view": 0, "environment": 0, "unmatched_eyes": 0})
+        queues = ("view", "environment", "foreground", "for_light", "unmatched_eyes")
+        self.assertEqual(summary["dropped"], dict.fromkeys(queues, 0))
         self.assertEqual(summary["configuration"]["coverage"], 1)
         self.assertTrue(0 < summary["touched_fraction"] < 1)
         self.assertTrue(summary["stages"])

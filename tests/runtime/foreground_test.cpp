@@ -717,5 +717,30 @@ TEST(HandInFront, ALiveRunTakesTheNewestDepth) {
   EXPECT_GT(hidden, 0);
 }
 
+TEST(HandInFront, DepthThatNewerOnesOvertakeIsCounted) {
+  FilmedRun source = filmed_run();
+  const auto first = std::ranges::find(source.frames, 2, &capture::Frame::camera);
+  ASSERT_NE(first, source.frames.end());
+  const capture::Frame depth = *first;
+  source.frames.insert(first, 3, depth);  // before the first view frame
+  auto pipeline = Pipeline::create(source.infos, ball_on_table());
+  PENUMBRA_NEED_GL(pipeline);
+  ASSERT_TRUE(pipeline);
+  pipeline->set_light(*lighting::estimate_map(capture::make_sky_environment(64, 32, .8), {}));
+  const std::atomic<bool> stop = false;
+  std::uint64_t told = 0;
+  const auto ran = pipeline->run_live(
+      source,
+      [&](const Output& o) {
+        told = o.overtaken.foreground;
+        return true;
+      },
+      stop);
+  ASSERT_TRUE(ran) << ran.error().detail;
+  EXPECT_GE(ran->overtaken.foreground, 3u);
+  EXPECT_GE(told, 3u);
+  EXPECT_LE(told, ran->overtaken.foreground);
+}
+
 }  // namespace
 }  // namespace penumbra::runtime
