@@ -103,6 +103,7 @@ class EdgeBand {
   int radius() const { return radius_; }
   bool is_background(std::size_t i) const { return covered_[i] == 0; }
   bool is_thing(std::size_t i) const { return covered_[i] == window(); }
+  bool is_edge(std::size_t i) const { return !is_background(i) && !is_thing(i); }
   // What depth alone says: an edge of a pixel where half of the neighbourhood is covered, which is
   // smooth though each pixel's depth is not.
   float by_depth(std::size_t i) const {
@@ -210,21 +211,56 @@ float mask_at(const Silhouettes& in, int x, int y) {
   return in.has_mask ? in.cover.at(x, y) : 0;
 }
 
-// What pixels say that are on no edge, and which blocks have one.
+// What pixels say that are on no edge.
+void load_row(const Silhouettes& in, const EdgeBand& band, int y, compositor::Foreground& out) {
+  const std::size_t first = out.index(out.area.x0, y),
+                    count = static_cast<std::size_t>(out.area.width()),
+                    x0 = static_cast<std::size_t>(out.area.x0);
+  const float* const distance = &in.distance_m.row(y)[x0];
+  glm::vec4* const cover = &out.cover[first];
+  float* const nearest = &out.distance_m[first];
+  for (std::size_t i = 0; i < count; ++i) {
+    cover[i] = {0, 0, 0, band.is_thing(first + i) ? 1.f : 0.f};
+    nearest[i] = std::min(distance[i], compositor::Foreground::kNowhere_m);
+  }
+  if (!in.has_mask) return;
+  const float* const mask = &in.cover.row(y)[x0];
+  for (std::size_t i = 0; i < count; ++i) {
+    if (!(mask[i] > 0)) continue;
+    // It is in front of everything, also where it is thin.
+    nearest[i] = 0;
+    if (cover[i].a == 0) cover[i].a = mask[i];
+  }
+}
+
+// Which blocks have an edge, and what is nearest in them.
+void sum_up_row(const Silhouettes& in, const EdgeBand& band, int y, const Blocks& grid,
+                std::vector<EdgeBlock>& blocks) {
+  const compositor::Rect& area = grid.area;
+  const int row = (y - area.y0) / grid.size;
+  for (int column = 0; column < grid.columns; ++column) {
+    EdgeBlock& block = blocks[static_cast<std::size_t>(row * grid.columns + column)];
+    const int first = column * grid.size, last = std::min(first + grid.size, area.width());
+    const float* const distance = &in.distance_m.row(y)[static_cast<std::size_t>(area.x0)];
+    const std::size_t at =
+        static_cast<std::size_t>(y - area.y0) * static_cast<std::size_t>(area.width());
+    float nearest = block.nearest_m;
+    bool has_edge = block.has_edge;
+    for (int x = first; x < last; ++x) {
+      nearest = std::min(nearest, distance[x]);
+      has_edge |= band.is_edge(at + static_cast<std::size_t>(x));
+    }
+    block.nearest_m = nearest, block.has_edge = has_edge;
+  }
+}
+
 void load_blocks(const Silhouettes& in, const EdgeBand& band, const Blocks& grid,
                  std::vector<EdgeBlock>& blocks, compositor::Foreground& out) {
   blocks.assign(grid.count(), {});
-  for (std::size_t b = 0; b < blocks.size(); ++b)
-    for_pixels(out, grid.rect(b), [&](std::size_t i, int x, int y) {
-      const bool thing = band.is_thing(i);
-      const float mask = mask_at(in, x, y), distance = in.distance_m.at(x, y);
-      // A mask is in front of everything, also where it is thin.
-      const float nowhere = mask > 0 ? 0 : compositor::Foreground::kNowhere_m;
-      out.distance_m[i] = std::min(distance, nowhere);
-      out.cover[i] = {0, 0, 0, thing ? 1 : mask};
-      blocks[b].nearest_m = std::min(blocks[b].nearest_m, distance);
-      blocks[b].has_edge |= !thing && !band.is_background(i);
-    });
+  for (int y = out.area.y0; y < out.area.y1; ++y) {
+    load_row(in, band, y, out);
+    sum_up_row(in, band, y, grid, blocks);
+  }
   for (std::size_t b = 0; b < blocks.size(); ++b)
     blocks[b].near_edge = grid.around(blocks, b).has_edge;
 }

@@ -56,6 +56,7 @@ void foreground(benchmark::State& state) {
   if (!stage) return state.SkipWithError(stage.error().detail.c_str());
   const capture::Frame seen = still(1, film_depth(world, depth, beside, {}, 1), beside);
   double part = 0;
+  std::shared_ptr<const compositor::Foreground> newest;
   Image<Rgb8> copy(view.width, view.height, Rgb8{});
   compare(
       state,
@@ -63,12 +64,17 @@ void foreground(benchmark::State& state) {
         if (!stage->add(seen)) return;
         const auto found = stage->in_front_of(frame, {view, nullptr, &curve, none}, near_hand);
         part = double(found->area.width()) * found->area.height() / double(codes.area());
+        newest = found;
       },
       [&] {
         std::memcpy(copy.pixels().data(), codes.pixels().data(), copy.area() * 3);
         benchmark::DoNotOptimize(copy.pixels().data());
       });
   state.counters["area"] = part;
+  if (!newest) return;
+  const auto covered =
+      std::ranges::count_if(newest->cover, [](const glm::vec4& c) { return c.a > 0; });
+  state.counters["covered"] = double(covered) / double(codes.area());
 }
 BENCHMARK(foreground)
     ->Name("runtime/foreground_vs_frame_copy")

@@ -184,7 +184,9 @@ inline Image<Rgb16> film_depth(const HandWorld& world, const calib::CameraModel&
       double z = depth_at(u, v);
       const double left = depth_at(x + .5 - 1, y + .5), right = depth_at(x + .5 + 1, y + .5),
                    beside = depth_at(x + .5 + errors.shadow_px, y + .5);
-      if (uniform(random) < errors.flying && std::abs(left - right) > .1) z = .5 * (left + right);
+      // Between two surfaces, not between one and the rim.
+      const bool is_edge = left > 0 && right > 0 && std::abs(left - right) > .1;
+      if (uniform(random) < errors.flying && is_edge) z = .5 * (left + right);
       z += errors.axial_m * z * z * normal(random);
       const bool in_shadow = errors.shadow_px > 0 && beside > 0 && beside < .8 * z;
       if (uniform(random) < errors.holes || in_shadow) z = 0;
