@@ -1,5 +1,8 @@
 #include "core/threads/parallel.h"
 
+#include <sys/resource.h>
+#include <unistd.h>
+
 #include <cassert>
 
 #include "core/threads/processor_time.h"
@@ -15,7 +18,22 @@
 #include <oneapi/tbb/parallel_for.h>
 #endif
 
-namespace penumbra::detail {
+namespace penumbra {
+
+namespace {
+
+thread_local bool loops_alone = false;
+
+}  // namespace
+
+void work_in_background() {
+  constexpr int kNice = 10;  // a tenth of a share
+  loops_alone = true;
+  // Refused, it is as it was.
+  (void)::setpriority(PRIO_PROCESS, static_cast<id_t>(::gettid()), kNice);
+}
+
+namespace detail {
 
 #if defined(__SANITIZE_THREAD__)
 
@@ -25,6 +43,7 @@ void run_parts(std::int64_t first, std::int64_t last, std::int64_t grain, const 
                LoopBody part) {
   assert(grain > 0);
   if (first >= last) return;
+  if (loops_alone) return part(body, first, last);
   std::atomic<std::int64_t> next{first};
   std::mutex mutex;
   std::exception_ptr failed;
@@ -54,6 +73,7 @@ void run_parts(std::int64_t first, std::int64_t last, std::int64_t grain, const 
 void run_parts(std::int64_t first, std::int64_t last, std::int64_t grain, const void* body,
                LoopBody part) {
   assert(grain > 0);
+  if (loops_alone && first < last) return part(body, first, last);
   using Range = tbb::blocked_range<std::int64_t>;
   const ProcessorUse use = spending_on();
   // Parts of other loops may be done while this one is waited for.
@@ -68,4 +88,5 @@ void run_parts(std::int64_t first, std::int64_t last, std::int64_t grain, const 
 
 #endif
 
-}  // namespace penumbra::detail
+}  // namespace detail
+}  // namespace penumbra

@@ -48,5 +48,9 @@ void parallel_for(Index first, std::type_identity_t<Index> last, const Body& bod
   });
 }
 
+/// This thread, until it ends, takes what others leave: it gives way where a processor is busy, and
+/// its loops run on itself alone.
+void work_in_background();
+
 }  // namespace penumbra
 #pragma GCC visibility pop

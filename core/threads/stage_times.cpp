@@ -11,7 +11,7 @@ void StageTimes::add(std::string_view stage, double ms) {
   if (found == stages_.end()) {
     found = stages_.insert(stages_.end(), Stage{std::string(stage), {}, 0, {}});
     // No frame pays for more room later; the system gives the memory when it is written to.
-    found->ms.reserve(kMaxSamples);
+    found->ms.reserve(kLastSamples);
   }
   Histogram& h = found->histogram;
   const auto bin = std::ranges::lower_bound(Histogram::kUpTo_ms, ms);
@@ -19,10 +19,10 @@ void StageTimes::add(std::string_view stage, double ms) {
     ++h.counts[static_cast<std::size_t>(bin - Histogram::kUpTo_ms.begin())];
   ++h.count;
   h.sum_ms += ms;
-  if (found->ms.size() < kMaxSamples) {
+  if (found->ms.size() < kLastSamples) {
     found->ms.push_back(static_cast<float>(ms));
   } else {
-    found->ms[found->next++ % kMaxSamples] = static_cast<float>(ms);
+    found->ms[found->next++ % kLastSamples] = static_cast<float>(ms);
   }
 }
 
@@ -45,7 +45,7 @@ std::vector<std::pair<std::string, StageTimes::Percentiles>> StageTimes::summary
       return static_cast<double>(ms[static_cast<std::size_t>(place)]);
     };
     const double median = at(.5);
-    out.emplace_back(stage.name, Percentiles{median, at(.99), ms.size()});
+    out.emplace_back(stage.name, Percentiles{median, at(.99), stage.histogram.count});
   }
   return out;
 }

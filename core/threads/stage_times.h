@@ -18,8 +18,8 @@ namespace penumbra {
 class StageTimes {
  public:
   struct Percentiles {
-    double p50_ms = 0, p99_ms = 0;
-    std::size_t count = 0;
+    double p50_ms = 0, p99_ms = 0;  // of the last kLastSamples
+    std::uint64_t count = 0;        // of all
   };
 
   /// How often a stage took how long, since the start.
@@ -30,14 +30,14 @@ class StageTimes {
     double sum_ms = 0;
   };
 
+  static constexpr std::size_t kLastSamples = 1 << 14;  // nine minutes of 30 a second
+
   void add(std::string_view stage, double ms);
   /// In order of first use.
   std::vector<std::pair<std::string, Percentiles>> summary() const;
   std::vector<std::pair<std::string, Histogram>> histograms() const;
 
  private:
-  // A stage that runs for days keeps its last ones
-  static constexpr std::size_t kMaxSamples = 1 << 16;
   struct Stage {
     std::string name;
     std::vector<float> ms;

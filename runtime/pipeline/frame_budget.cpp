@@ -24,6 +24,12 @@ void FrameBudget::add(double busy_ms, int lights) {
   even_ = true;
 }
 
+void FrameBudget::start_over() {
+  allow_all();
+  frames_ = 0, even_ = true, window_ = kTrial;
+  next_wait_ = kShortestWait, quiet_ = 0;
+}
+
 void FrameBudget::decide(double median_ms) {
   if (++quiet_ >= kQuietWaits * next_wait_) {
     next_wait_ = std::max(kShortestWait, next_wait_ / 2);

@@ -518,7 +518,11 @@ Result<RunCounts> run_live(capture::FrameSource& source, LightEstimationStage& l
       counts.overtaken = live.overtaken();
       if (changes.stage_waits && changes.stage_waits()) {
         frames.finish_last();
-        if (CompositeStage* const newer = changes.take_stage()) frames.go_on_with(*newer);
+        if (CompositeStage* const newer = changes.take_stage()) {
+          frames.go_on_with(*newer);
+          budget.start_over();
+          live.affordable_lights = budget.max_lights();
+        }
       }
       if (auto newer = live.light.take()) estimate = std::move(*newer);
       if (const auto darker = live.for_light.take()) recover(*darker);

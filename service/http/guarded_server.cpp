@@ -54,7 +54,9 @@ class HeadCheck {
 
 // A request that must not be answered as what the library made of it.
 struct BadRequest : std::runtime_error {
-  using std::runtime_error::runtime_error;
+  explicit BadRequest(const char* reason, const char* status = "400 Bad Request")
+      : std::runtime_error(reason), status(status) {}
+  const char* status;
 };
 
 // Of the head that the library has read.
@@ -83,13 +85,17 @@ class GuardedServer::Client final : public httplib::Stream {
   bool await_request(std::chrono::seconds idle) {
     request_bytes_ = 0;
     head_ = {};
-    const bool comes = next_ < filled_ || wait(POLLIN, Clock::now() + idle);
+    const bool comes =
+        next_ < filled_ || wait(POLLIN, Clock::now() + (is_crowded() ? kShortPatience : idle));
+    answers_ = 0, closes_ = false;
     deadline_ = Clock::now() + (is_crowded() ? kShortPatience : kPatience);
     return comes;
   }
   /// Its head has been read, and says that so many bytes follow.
   void expect_body(std::size_t bytes) { body_ends_ = request_bytes_ + bytes; }
   bool has_read_body() const { return request_bytes_ == body_ends_; }
+  /// Whether the answer has said that nothing follows it.
+  bool closes() const { return closes_; }
   bool has_malformed_head() const { return head_.is_malformed(); }
 
   bool is_readable() const override { return next_ < filled_ || ready(POLLIN, 0ms); }
@@ -110,6 +116,10 @@ class GuardedServer::Client final : public httplib::Stream {
   }
   // Also to a client that has said that it sends no more, and waits for the answer.
   ssize_t write(const char* from, std::size_t size) override {
+    // The head comes as one.
+    if (answers_++ == 0)
+      closes_ =
+          std::string_view(from, size).find("\r\nConnection: close\r\n") != std::string_view::npos;
     while (wait(POLLOUT, Clock::now() + kPatience)) {
       const ssize_t n = ::send(socket_, from, size, MSG_NOSIGNAL | MSG_DONTWAIT);
       if (n >= 0 || (errno != EAGAIN && errno != EINTR)) return n;
@@ -161,6 +171,8 @@ class GuardedServer::Client final : public httplib::Stream {
   std::array<char, 4096> buffer_{};
   std::size_t next_ = 0, filled_ = 0;  // in the buffer
   std::size_t request_bytes_ = 0, body_ends_ = 0;
+  int answers_ = 0;  // writes of the answer
+  bool closes_ = false;
   HeadCheck head_;
   Clock::time_point deadline_;
   bool ends_ = false;
@@ -178,11 +190,15 @@ void GuardedServer::serve(Client& client) {
     const auto note_body = [&](const httplib::Request& q) {
       has_head = true;
       is_plain = !q.has_header("Transfer-Encoding");
-      client.expect_body(body_length(q));
+      const std::size_t length = body_length(q);
+      if (length > payload_max_length_)
+        throw BadRequest("the request has a body of more than 64 KiB", "413 Content Too Large");
+      client.expect_body(length);
       if (client.has_malformed_head()) throw BadRequest("the request has a line that is no header");
     };
     const bool served = process_request(client, left == 1, closed, note_body);
-    if (!served || closed || !has_head || !is_plain || !client.has_read_body()) return;
+    if (!served || closed || !has_head || !is_plain || !client.has_read_body() || client.closes())
+      return;
   }
 }
 
@@ -194,10 +210,10 @@ bool GuardedServer::process_and_close_socket(socket_t socket) {
     serve(client);
   } catch (const BadRequest& e) {
     const std::string body = std::string(R"({"error":")") + e.what() + "\"}\n",
-                      answer =
-                          "HTTP/1.1 400 Bad Request\r\nContent-Type: application/json\r\n"
-                          "Connection: close\r\nContent-Length: " +
-                          std::to_string(body.size()) + "\r\n\r\n" + body;
+                      answer = std::string("HTTP/1.1 ") + e.status +
+                               "\r\nContent-Type: application/json\r\n"
+                               "Connection: close\r\nContent-Length: " +
+                               std::to_string(body.size()) + "\r\n\r\n" + body;
     client.write(answer.data(), answer.size());
   } catch (const std::exception& e) {  // no request ends the service
     log_warning("http: a connection is closed: {}", e.what());

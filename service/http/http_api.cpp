@@ -140,7 +140,7 @@ Result<void> clear_socket(const fs::path& path) {
 }  // namespace
 
 struct HttpApi::Impl {
-  static constexpr int kIdle_s = 1;
+  static constexpr int kIdle_s = 5;  // pages ask once a second
 
   HttpContext context;
   GuardedServer over_tcp, over_socket;

@@ -17,6 +17,7 @@
 #include <vector>
 
 #include "capture/unique_fd.h"
+#include "core/io/log.h"
 #include "service/outputs/colour_conversion.h"
 #include "service/outputs/frame_output.h"
 #include "service/outputs/internal/frame_sink.h"
@@ -41,6 +42,9 @@ class Y4mSink : public FrameSink {
                    const std::stop_token& stop) override;
 
  private:
+  Result<bool> write_picture(const FramePixels& pixels, TimestampNs captured,
+                             const std::stop_token& stop);
+  bool is_fifo() const;
   Result<void> begin(const Image<Rgb8>& picture, TimestampNs captured, const std::stop_token& stop);
   Result<std::int64_t> place_of(TimestampNs captured);
   Result<void> write_frame(const std::stop_token& stop);
@@ -95,9 +99,25 @@ Result<std::string> Y4mSink::tend() {
   return file_ ? std::string() : std::string("waits for a reader of the pipe");
 }
 
+bool Y4mSink::is_fifo() const {
+  struct stat node {};
+  return ::fstat(file_.get(), &node) == 0 && S_ISFIFO(node.st_mode) && path_ != "-";
+}
+
+// A reader of a FIFO may go and another one come, for whom the film begins.
 Result<bool> Y4mSink::put(const FramePixels& pixels, TimestampNs captured,
                           const std::stop_token& stop) {
   if (!file_) return false;
+  auto put = write_picture(pixels, captured, stop);
+  if (put || put.error().code != ErrorCode::kClosed || !is_fifo()) return put;
+  log_info("{}: its reader has gone: it waits for another one", name_);
+  file_ = {};
+  last_ = -1;
+  return false;
+}
+
+Result<bool> Y4mSink::write_picture(const FramePixels& pixels, TimestampNs captured,
+                                    const std::stop_token& stop) {
   const DisplayPicture picture(pixels);
   if (last_ < 0) PENUMBRA_TRY(begin(*picture, captured, stop));
   if ((*picture).width() != width_ || (*picture).height() != height_)

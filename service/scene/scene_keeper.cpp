@@ -120,6 +120,13 @@ void SceneKeeper::tell(const std::string& object, const Error& error) {
   log_warning("{}: {}: {}", object, error.where, error.detail);
   {
     const std::scoped_lock lock(mutex_);
+    std::erase_if(told_, [&](const auto& o) { return o == object || !faults_.contains(o); });
+    // Who asks again and again for what is not there fills no memory.
+    if (told_.size() >= kMaxFaults) {
+      faults_.erase(told_.front());
+      told_.pop_front();
+    }
+    told_.push_back(object);
     faults_[object] = error.where + " " + error.detail;
     if (!first_) first_ = std::unexpected(error);
   }

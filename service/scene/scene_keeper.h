@@ -3,6 +3,8 @@
 #pragma once
 
 #include <condition_variable>
+#include <cstddef>
+#include <deque>
 #include <functional>
 #include <map>
 #include <mutex>
@@ -36,7 +38,9 @@ class SceneKeeper {
   void want(runtime::Scene scene);
   /// Whether something is baked or waits for it.
   bool is_busy() const;
-  /// Why objects that were wanted are not there, by object; "scene" where it is none of them.
+  static constexpr std::size_t kMaxFaults = 64;
+  /// Why objects that were wanted are not there, by object; "scene" where it is none of them. The
+  /// newest kMaxFaults.
   std::map<std::string, std::string> faults() const;
   /// Takes what was said of an object, or of all, back. False: nothing was said.
   bool forget_fault(const std::string& object);
@@ -67,6 +71,7 @@ class SceneKeeper {
   std::optional<runtime::Scene> wanted_;  // guarded by mutex_, as are all below
   bool busy_ = false, ends_ = false;
   std::map<std::string, std::string> faults_;
+  std::deque<std::string> told_;  // their objects, the oldest first
   std::optional<Result<void>> first_;
   std::jthread thread_;  // last: it uses all above
 };

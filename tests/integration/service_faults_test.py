@@ -289,6 +289,15 @@ class Faults(OwnDaemons):
         self.started()
         print(f"context: ok after {time.monotonic() - begun:.1f} s of another start")
 
+    def test_without_gl_it_says_what_is_missing(self):
+        begun = time.monotonic()
+        daemon = Daemon(self.rig, {**self.environment, "__EGL_VENDOR_LIBRARY_DIRS": "/nonexistent"})
+        self.addCleanup(daemon.end)
+        self.assertEqual(daemon.process.wait(timeout=30 * PATIENCE), 2, daemon.said())
+        print(f"no gl: refused after {time.monotonic() - begun:.1f} s")
+        self.assertIn("libgl1-mesa-dri", daemon.said())
+        self.assertFalse((self.root / "http.sock").exists())
+
     def test_a_bake_without_memory_ends_alone(self):
         if PATIENCE > 1:
             self.skipTest("sanitizers take address space by the terabyte")

@@ -44,6 +44,22 @@ TEST(FrameBudget, WhatDoesNotFitGoesWithinHalfASecond) {
   EXPECT_EQ(m.lights, 0);
 }
 
+// While objects are baked a light seems to cost what the bakes take: it would stay away for long.
+TEST(FrameBudget, AnotherSceneStartsOver) {
+  const auto frames_without = [](bool starts_over) {
+    Machine m{60, 8, 2};
+    m.run(4000);
+    EXPECT_EQ(m.lights, 0);
+    m.base_ms = 4, m.light_ms = 2;
+    if (starts_over) m.pace.start_over();
+    int frames = 0;
+    for (; m.lights < 2 && frames < 4000; ++frames) m.run(1);
+    return frames;
+  };
+  EXPECT_GT(frames_without(false), 200);
+  EXPECT_LE(frames_without(true), 2);
+}
+
 TEST(FrameBudget, WhatIsOnTrialGoesSooner) {
   Machine m{10, 8};
   m.run(8);

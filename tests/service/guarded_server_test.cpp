@@ -8,6 +8,10 @@
 #include <unistd.h>
 
 #include <array>
+#include <chrono>
+#include <filesystem>
+#include <iterator>
+#include <latch>
 #include <memory>
 #include <string>
 #include <thread>
@@ -29,10 +33,12 @@ struct ListeningServer {
   explicit ListeningServer(std::size_t workers = 4) {
     server.new_task_queue = [=] { return new Workers(workers); };
     server.set_keep_alive_timeout(1);
+    server.set_payload_max_length(1 << 16);
     server.set_pre_routing_handler([](const httplib::Request& q, httplib::Response& r) {
       using Handled = httplib::Server::HandlerResponse;
       if (q.get_header_value("Host") != "evil.example") return Handled::Unhandled;
       r.status = 403;
+      if (q.has_param("closes")) r.set_header("Connection", "close");
       return Handled::Handled;
     });
     server.Get("/", [](const httplib::Request&, httplib::Response& r) { r.status = 200; });
@@ -161,6 +167,54 @@ TEST(GuardedServer, RequestsInOnePacketAreAllAnswered) {
   client.send(get + get + kInner);
   EXPECT_EQ(answers_in(client.rest()), 3u);
   EXPECT_EQ(running.changes, 1);
+}
+
+TEST(GuardedServer, NothingFollowsAnAnswerThatCloses) {
+  const auto answers_to = [](const std::string& path) {
+    ListeningServer<GuardedServer> running;
+    const RawConnection client(running.port);
+    client.send("GET " + path + " HTTP/1.1\r\nHost: evil.example\r\n\r\n" + kInner);
+    return answers_in(client.rest());
+  };
+  EXPECT_EQ(answers_to("/"), 2u);
+  EXPECT_EQ(answers_to("/?closes=1"), 1u);
+}
+
+TEST(GuardedServer, ABodyThatIsTooLargeIsNotAskedFor) {
+  const auto begun = std::chrono::steady_clock::now();
+  const std::string answer = answer_to(
+      "POST / HTTP/1.1\r\nHost: localhost\r\nExpect: 100-continue\r\n"
+      "Content-Length: 1000000000\r\n\r\n",
+      false);
+  EXPECT_NE(answer.find(" 413 "), std::string::npos) << answer;
+  EXPECT_EQ(answers_in(answer), 1u) << answer;
+  // A client is otherwise waited for during five seconds.
+  EXPECT_LT(std::chrono::steady_clock::now() - begun, std::chrono::seconds(4));
+}
+
+std::ptrdiff_t threads_now() {
+  return std::distance(std::filesystem::directory_iterator("/proc/self/task"), {});
+}
+
+TEST(Workers, EndWhenTheyHaveWaitedForLong) {
+  constexpr int kTasks = 8;
+  const std::ptrdiff_t before = threads_now();
+  Workers workers(kTasks, std::chrono::milliseconds(50));
+  for (int round = 0; round < 2; ++round) {
+    std::latch all_run(kTasks), ends(1);
+    for (int i = 0; i < kTasks; ++i)
+      workers.enqueue([&] {
+        all_run.count_down();
+        ends.wait();
+      });
+    all_run.wait();
+    EXPECT_EQ(threads_now(), before + kTasks);
+    ends.count_down();
+    for (int i = 0; i < 200 && threads_now() > before; ++i)
+      std::this_thread::sleep_for(std::chrono::milliseconds(20));
+    EXPECT_EQ(threads_now(), before);
+  }
+  workers.shutdown();
 }
 
 TEST(GuardedServer, AHeadThatNeverEndsIsNotReadIntoMemory) {

@@ -31,7 +31,7 @@ void add_serve(CLI::App& parent, Action& action) {
   static service::QuickStart start;
   static bool quick = false;
   auto* c = parent.add_subcommand(
-      "serve", "Run the live service, with its HTTP interface on a loopback address");
+      "serve", "Run the live service, with its HTTP interface on a socket of your own or a port");
   c->add_option("--config", options.config, "Rig to run, rig.toml");
   c->add_flag("--quick", quick,
               "Put an object on a printed board before a webcam, without a rig.toml");

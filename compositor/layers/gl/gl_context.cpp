@@ -95,7 +95,9 @@ Result<std::unique_ptr<GlContext>> make_context(EGLDisplay display) {
 }  // namespace
 
 Result<std::unique_ptr<GlContext>> make_offscreen_context() {
-  Result<std::unique_ptr<GlContext>> last = fail(ErrorCode::kUnavailable, "EGL", "has no display");
+  Result<std::unique_ptr<GlContext>> last = fail(
+      ErrorCode::kUnavailable, "EGL",
+      "has no display: a driver of OpenGL ES 3.1 is missing, of Debian's libgl1-mesa-dri for one");
   for (const EGLDisplay display : candidate_displays()) {
     last = make_context(display);
     if (last) return last;

@@ -19,6 +19,8 @@ class FrameBudget {
 
   /// A frame that took so long, waiting for others not counted, with so many lights that could go.
   void add(double busy_ms, int lights);
+  /// Another scene: all lights again, as what the last one took says nothing.
+  void start_over();
   /// 0..kAll. One fewer as soon as a window's median frame took longer than it may. The window is
   /// short when their number has just changed, and frames of a light that does not follow yet do
   /// not count. One more when the last one that went would fit again by what it cost then, after a
