@@ -559,8 +559,9 @@ function showPlan(light, budget) {
     `${count(light.lights.length, "distant light")}, ${plan.fine_lights} with fine shadows; ${block}`);
   const less = [plan.bands < light.bands && count(light.bands - plan.bands, "band"),
     plan.lights < light.lights.length && count(light.lights.length - plan.lights, "light"),
-    plan.map_step > 1 && "detail of the map"].filter(Boolean).join(", ");
-  setText("given-up", (less || "nothing") + (plan.time_limited ? "; a frame's time allows no more" : ""));
+    plan.map_step > 1 && "detail of the map",
+    plan.time_limited && "distant lights that a frame has no time for"].filter(Boolean).join(", ");
+  setText("given-up", less || "nothing");
   const errors = { error: plan.predicted_error, "object-error": plan.predicted_object_error };
   for (const [id, value] of Object.entries(errors)) {
     const over = value == null || value > budget;
