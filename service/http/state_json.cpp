@@ -1,4 +1,5 @@
 #include <algorithm>
+#include <cmath>
 
 #include "runtime/pipeline/report.h"
 #include "service/http/internal/context.h"
@@ -34,9 +35,11 @@ json cameras_json(const PublishedState::Snapshot& s) {
   return out;
 }
 
-json preparing_json(const PublishedState::Snapshot& s) {
+// Work that goes on, and objects that wait for it.
+json preparing_json(const PublishedState::Snapshot& s, const SceneControl& objects) {
   json out = json::object();
-  for (const auto& [work, done] : s.preparing) out[work] = done;
+  for (const std::string& name : objects.awaited()) out[name] = 0;
+  for (const auto& [work, done] : s.preparing) out[work] = std::round(1e4 * done) / 1e4;
   return out;
 }
 
@@ -73,7 +76,8 @@ json health_json(HttpContext& context) {
                {"frame_rate_hz", s.frame_rate_hz},
                {"dropped", runtime::to_json(s.overtaken)},
                {"stages", context.stages.now()}};
-  if (!s.preparing.empty()) body["preparing"] = preparing_json(s);
+  if (json work = preparing_json(s, context.sources.objects); !work.empty())
+    body["preparing"] = std::move(work);
   if (!s.cameras.empty()) body["cameras"] = cameras_json(s);
   if (s.pose) body["pose"] = pose_json(*s.pose);
   if (s.headset) body["headset"] = headset_json(*s.headset);
@@ -119,7 +123,7 @@ json state_json(HttpContext& context) {
                {"view_rate_hz", s.view_rate_hz},
                {"dropped", runtime::to_json(s.overtaken)},
                {"stages", context.stages.now()},
-               {"preparing", preparing_json(s)},
+               {"preparing", preparing_json(s, context.sources.objects)},
                {"cameras", cameras_json(s)},
                {"faults", context.sources.objects.faults()},
                {"objects", context.sources.objects.objects()}};

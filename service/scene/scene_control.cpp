@@ -460,6 +460,19 @@ json SceneControl::objects() const {
   return out;
 }
 
+std::vector<std::string> SceneControl::awaited() const {
+  const std::scoped_lock lock(mutex_);
+  std::vector<std::string> out;
+  if (!pipeline_ || !keeper_) return out;
+  const auto shown = pipeline_->objects();
+  const auto faults = keeper_->faults();
+  for (const runtime::SceneObject& o : scene_.objects)
+    if (!faults.contains(o.name) &&
+        std::ranges::find(shown, o.name, &runtime::ObjectState::name) == shown.end())
+      out.push_back(o.name);
+  return out;
+}
+
 json SceneControl::surroundings() const {
   const std::scoped_lock lock(mutex_);
   json planes = json::array(), lamps = json::array();

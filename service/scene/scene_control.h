@@ -10,6 +10,7 @@
 #include <set>
 #include <string>
 #include <string_view>
+#include <vector>
 
 #include "core/result.h"
 #include "runtime/pipeline/pipeline.h"
@@ -101,6 +102,8 @@ class SceneControl {
 
   /// By object, as ObjectState. Null before there is a pipeline.
   nlohmann::json objects() const;
+  /// Objects that are wanted, not shown yet, and not known to fail.
+  std::vector<std::string> awaited() const;
   /// Planes and lamps.
   nlohmann::json surroundings() const;
   /// By object, why it is not there.

@@ -102,7 +102,9 @@ TEST(SceneKeeper, WhatIsAddedLeavesTheOthersInThePictureAndWhereTheyAre) {
   auto ball = box("ball", -.5);
   ball.asset = "builtin:ball";
   ASSERT_TRUE(r.control.add(ball));
+  EXPECT_EQ(r.control.awaited(), std::vector<std::string>{"ball"});
   r.settle();
+  EXPECT_TRUE(r.control.awaited().empty());
   ASSERT_FALSE(r.handed_over.empty());
   for (const auto& names : r.handed_over)
     EXPECT_EQ(names, (std::vector<std::string>{"a", "b", "ball"}));
@@ -148,6 +150,24 @@ TEST(SceneKeeper, AnObjectThatCannotBeBakedIsToldAndLeavesTheOthersAlone) {
   EXPECT_TRUE(r.control.remove("never")) << "an alert must end once somebody has read it";
   EXPECT_TRUE(r.keeper->faults().empty());
   EXPECT_FALSE(r.control.remove("never"));
+}
+
+TEST(SceneKeeper, FaultsAreKeptUpToABound) {
+  Running r;
+  PENUMBRA_NEED_GL(r.pipeline);
+  r.start(on_a_floor({}));
+  auto broken = box("", 0);
+  broken.asset = (r.folder.path() / "missing.glb").string();
+  for (std::size_t i = 0; i < SceneKeeper::kMaxFaults + 5; ++i) {
+    broken.name = "broken" + std::to_string(i);
+    ASSERT_TRUE(r.control.add(broken));
+    r.settle();
+  }
+  const auto faults = r.keeper->faults();
+  EXPECT_EQ(faults.size(), SceneKeeper::kMaxFaults);
+  EXPECT_FALSE(faults.contains("broken4")) << "the oldest go";
+  EXPECT_TRUE(faults.contains("broken5"));
+  EXPECT_TRUE(faults.contains(broken.name));
 }
 
 // At the start the author of the scene wants to hear of it.
