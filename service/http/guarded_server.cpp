@@ -87,7 +87,7 @@ class GuardedServer::Client final : public httplib::Stream {
     head_ = {};
     const bool comes =
         next_ < filled_ || wait(POLLIN, Clock::now() + (is_crowded() ? kShortPatience : idle));
-    answers_ = 0, closes_ = false;
+    closes_ = false;
     deadline_ = Clock::now() + (is_crowded() ? kShortPatience : kPatience);
     return comes;
   }
@@ -116,10 +116,10 @@ class GuardedServer::Client final : public httplib::Stream {
   }
   // Also to a client that has said that it sends no more, and waits for the answer.
   ssize_t write(const char* from, std::size_t size) override {
-    // The head comes as one.
-    if (answers_++ == 0)
-      closes_ =
-          std::string_view(from, size).find("\r\nConnection: close\r\n") != std::string_view::npos;
+    // The head comes as one, after a "100 Continue" where that was asked for.
+    const std::string_view text(from, size);
+    if (text.starts_with("HTTP/1.1 "))
+      closes_ = text.find("\r\nConnection: close\r\n") != std::string_view::npos;
     while (wait(POLLOUT, Clock::now() + kPatience)) {
       const ssize_t n = ::send(socket_, from, size, MSG_NOSIGNAL | MSG_DONTWAIT);
       if (n >= 0 || (errno != EAGAIN && errno != EINTR)) return n;
@@ -171,7 +171,6 @@ class GuardedServer::Client final : public httplib::Stream {
   std::array<char, 4096> buffer_{};
   std::size_t next_ = 0, filled_ = 0;  // in the buffer
   std::size_t request_bytes_ = 0, body_ends_ = 0;
-  int answers_ = 0;  // writes of the answer
   bool closes_ = false;
   HeadCheck head_;
   Clock::time_point deadline_;

@@ -770,6 +770,9 @@ class Encode(CliTest):
                                  (["--size-kb", "bytes at least"], [sun, "-o", out, "--size-kb", 0.1]),
                                  (["--size-kb", "--every-pixel"], [sun, "-o", out, "--size-kb", 9, "--every-pixel"])):
             self.expect_refusal(words, "encode", *arguments)
+        files.write_lamp_hdr(self.root / "lamp.hdr", 40, 30, [5, 4, 1])
+        self.expect_refusal(["--error", "the best that this coder reaches", ".jph", "--base lossless"],
+                            "encode", self.root / "lamp.hdr", "-o", self.root / "bad.pnr", "--error", 1)
         for kind, word in ((".jph", "truncated"), (".pnr", "damaged")):
             whole, cut = self.root / ("whole" + kind), self.root / ("cut" + kind)
             self.run_json("encode", sun, "-o", whole)

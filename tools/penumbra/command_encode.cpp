@@ -129,10 +129,13 @@ Result<void> encode(const EncodeOptions& o) {
   const auto coded = encode_as(input);
   if (!coded) {
     const bool of_goal = coded.error().where == "goal";
-    return fail(coded.error().code, of_goal ? (o.size_kb ? "--size-kb" : "--error") : o.input,
-                of_goal || coded.error().where == "picture"
-                    ? coded.error().detail
-                    : coded.error().where + " " + coded.error().detail);
+    const bool halves_colour = of_goal && !o.size_kb && lower_extension(o.output) == ".pnr";
+    return fail(
+        coded.error().code, of_goal ? (o.size_kb ? "--size-kb" : "--error") : o.input,
+        (of_goal || coded.error().where == "picture"
+             ? coded.error().detail
+             : coded.error().where + " " + coded.error().detail) +
+            (halves_colour ? "; .jph or --base lossless keep colours at full resolution" : ""));
   }
   PENUMBRA_TRY(write_bytes(
       o.output, {reinterpret_cast<const char*>(coded->bytes.data()), coded->bytes.size()}));
