@@ -17,9 +17,6 @@ namespace penumbra::lighting {
 
 namespace {
 
-constexpr int kGlance = 8;  // maps between predictions where no light would be used
-constexpr int kCalm = 8;    // maps without clipping before that
-
 // Whether a projector can read maps of this width; others take the slow way.
 bool in_quarters(int width) {
   return width % 4 == 0;
@@ -90,7 +87,6 @@ Result<ShProjection> LightEstimator::fill_holes(const Result<ShProjection>& mome
 
 // Into extraction_ and unused_.
 Result<void> LightEstimator::extract(const Environment& environment) {
-  maps_since_split_ = 0;
   ExtractionOptions found = options_.lights;
   found.min_irradiance_fraction /= 2;
   if (inpainting_) found.coverage = inpainting_->coverage();
@@ -126,7 +122,8 @@ void LightEstimator::find_unseen_sun(const Environment& environment) {
   if (sun.y > 0 && seen.at(x, y) == 0) unseen_sun_ = sun;
 }
 
-// As many as the plan says, and all that are clipped, drawn finely; the others are left over.
+// As many as the plan says, and all that are clipped, drawn finely. Behind them those that the
+// light needs beside, without the time for them; the others are left over.
 // A sun that no camera sees counts where it is among the strongest. Else it is carried along, for
 // whoever finds its power.
 void LightEstimator::choose_max_lights() {
@@ -146,28 +143,16 @@ void LightEstimator::choose_max_lights() {
     plan_ = governor_->judge(errors_, with_clipped, governor_config_->limits.max_error);
     plan_->time_limited = time_limited && !plan_->within_budget;
   }
-  unused_.insert(unused_.end(), extraction_.lights.begin() + static_cast<std::ptrdiff_t>(used),
+  const auto needed = std::min(extraction_.lights.size(),
+                               std::max(used, static_cast<std::size_t>(unhurried_plan_->lights)));
+  unused_.insert(unused_.end(), extraction_.lights.begin() + static_cast<std::ptrdiff_t>(needed),
                  extraction_.lights.end());
-  extraction_.lights.resize(used);
+  extraction_.lights.resize(needed);
   if (weak_sun) extraction_.lights.push_back(*weak_sun);
 }
 
-// Without lights: the whole light in harmonics. Split now and then, for what the governor predicts.
-Result<ShProjection> LightEstimator::measure_whole(const Environment& environment) {
-  if (++maps_since_split_ >= kGlance) {
-    PENUMBRA_TRY(extract(environment));
-    PENUMBRA_ASSIGN(residual, fill_holes(project_residual()));
-    add_distant_lights(unused_, residual);
-    plan_ = plan_for(residual, environment.time);
-  }
-  extraction_.lights.clear();
-  auto whole = fill_holes(project(environment.radiance));
-  if (whole && options_.filter) filter_.update(environment.time, *whole);
-  return whole;
-}
-
-// With the plan's lights in extraction_, all others in harmonics.
-Result<ShProjection> LightEstimator::measure_split(const Environment& environment) {
+// With the lights that are needed in extraction_, all others in harmonics.
+Result<ShProjection> LightEstimator::measure(const Environment& environment) {
   unused_.clear();
   if (options_.lights.max_count > 0) PENUMBRA_TRY(extract(environment));
   auto projection = fill_holes(options_.lights.max_count > 0 ? project_residual()
@@ -181,7 +166,7 @@ Result<ShProjection> LightEstimator::measure_split(const Environment& environmen
   std::erase_if(unused_, is_weak);
   if (options_.filter) filter_.update(environment.time, *projection);
   if (governor_) {
-    plan_ = plan_for(*projection, environment.time);
+    plan_for(*projection, environment.time);
     choose_max_lights();
   }
   add_distant_lights(unused_, *projection);
@@ -211,10 +196,12 @@ bool is_compact(const DistantLight& light) {
       light.shape, [&](const glm::dvec3& d) { return glm::dot(d, light.direction) > least; });
 }
 
-std::vector<std::size_t> compact_below(double radius_rad, std::span<const DistantLight> lights) {
+std::vector<std::size_t> compact_below(double radius_rad, const LightEstimate& light) {
   std::vector<std::size_t> out;
-  for (std::size_t i = 0; i < lights.size() && out.size() < kMaxLightsApart; ++i)
-    if (lights[i].radius.value() < radius_rad && is_compact(lights[i])) out.push_back(i);
+  for (std::size_t i = 0; i < light.lights.size() && out.size() < kMaxLightsApart; ++i)
+    if (light.is_affordable(i) && light.lights[i].radius.value() < radius_rad &&
+        is_compact(light.lights[i]))
+      out.push_back(i);
   return out;
 }
 
@@ -223,7 +210,7 @@ std::vector<std::size_t> compact_below(double radius_rad, std::span<const Distan
 std::vector<std::size_t> lights_apart(const LightEstimate& light) {
   return compact_below(
       largest_light_apart_rad(light.reflections ? light.reflections->levels.front().roughness : 0),
-      light.lights);
+      light);
 }
 
 void LightEstimator::mirror(const SurfaceRoughness& surfaces, float size_factor) {
@@ -248,12 +235,10 @@ void LightEstimator::cut_out(const DistantLight& light, Image<Rgb>& map) const {
 
 // Lights that are mirrored apart are cut down to what surrounds them, as the residual is. The map
 // is the whole one also where light is read in blocks: a mirror shows each pixel.
-void LightEstimator::find_reflections(const Environment& whole_map, bool split,
-                                      LightEstimate& out) {
+void LightEstimator::find_reflections(const Environment& whole_map, LightEstimate& out) {
   if (!mirror_) return;
   const std::vector<std::size_t> apart =
-      split ? compact_below(largest_light_apart_rad(mirror_->least_roughness()), out.lights)
-            : std::vector<std::size_t>();
+      compact_below(largest_light_apart_rad(mirror_->least_roughness()), out);
   if (!apart.empty()) mirrored_map_ = whole_map.radiance;
   for (const std::size_t i : apart) cut_out(out.lights[i], mirrored_map_);
   auto map = std::make_shared<ReflectionMap>();
@@ -268,33 +253,35 @@ Result<void> LightEstimator::estimate(const Environment& whole_map, LightEstimat
   const Environment& environment = blocks ? *blocks : whole_map;
   follow_holes(environment.confidence);
   find_unseen_sun(environment);
-  // A source at the edge of clipping must not change sides with every map.
-  maps_unclipped_ = environment.clipped.empty() ? std::min(maps_unclipped_ + 1, kCalm) : 0;
-  const bool without_lights = options_.lights.max_count > 0 && governor_ && !unseen_sun_ &&
-                              governor_->max_lights() == 0 && maps_unclipped_ == kCalm;
-  if (without_lights != without_lights_) {
-    // Another part of the light is measured from now on.
-    without_lights_ = without_lights;
-    maps_since_split_ = kGlance;
-    filter_ = LightFilter();
-  }
   // All nine bands are measured whatever is used: the rest predicts the truncation error.
-  const auto projection = without_lights ? measure_whole(environment) : measure_split(environment);
+  const auto projection = measure(environment);
   // The whole map names its own pixel.
   if (!projection && blocks) PENUMBRA_TRY(project_latlong(whole_map.radiance, 1));
   PENUMBRA_TRY(projection);
-  make_estimate(*projection, plan_ ? plan_->bands : options_.bands, extraction_.lights, out);
+  const int bands = plan_ ? std::max(plan_->bands, unhurried_plan_->bands) : options_.bands;
+  make_estimate(*projection, bands, extraction_.lights, out);
   out.plan = plan_;
   if (out.plan && inpainting_)
     out.plan = governor_->with_unseen(*out.plan, inpainting_->unseen_above());
-  if (out.plan && holds_a_lower_bound(environment, out.lights)) {
+  const bool lower_bound = holds_a_lower_bound(environment, out.lights);
+  if (out.plan && lower_bound) {
     out.plan->lower_bound = true;
     out.plan->within_budget = false;
   }
+  tell_uncertainty(lower_bound, out);
   out.time = environment.time;
   out.clipped_fraction = environment.clipped_fraction;
-  find_reflections(whole_map, !without_lights && options_.lights.max_count > 0, out);
+  find_reflections(whole_map, out);
   return {};
+}
+
+void LightEstimator::tell_uncertainty(bool lower_bound, LightEstimate& out) const {
+  LightUncertainty& u = out.uncertainty;
+  u.unseen = LightUncertainty::kContinued * (1 - out.coverage);
+  const double mean_irradiance = kPi * luminance(out.mean_radiance);
+  const auto noise = options_.filter ? filter_.irradiance_noise() : std::nullopt;
+  if (noise && mean_irradiance > 0) u.noise = *noise / mean_irradiance;
+  if (!lower_bound) u.total = std::hypot(u.noise.value_or(0), u.unseen);
 }
 
 void LightEstimator::set_governor(const GovernorConfig& governor_config) {
@@ -302,6 +289,7 @@ void LightEstimator::set_governor(const GovernorConfig& governor_config) {
   governor_config_->limits.max_bands = options_.bands;
   governor_config_->limits.max_lights = options_.lights.max_count;
   governor_.emplace(governor_config_->limits, governor_config_->costs);
+  unhurried_.emplace(governor_config_->limits, governor_config_->costs);
 }
 
 void LightEstimator::allow_lights(int max_count) {
@@ -309,11 +297,12 @@ void LightEstimator::allow_lights(int max_count) {
   governor_->allow_lights(max_count);
 }
 
-Plan LightEstimator::plan_for(const ShProjection& residual, TimestampNs time) {
+void LightEstimator::plan_for(const ShProjection& residual, TimestampNs time) {
   errors_.predict({&residual.upper_moments, extraction_.lights, map_rows_, max_map_step_},
                   governor_config_->probes, governor_config_->limits.max_bands,
                   governor_config_->limits.max_lights);
-  return governor_->update(errors_, time);
+  plan_ = governor_->update(errors_, time);
+  unhurried_plan_ = governor_->is_hurried() ? unhurried_->update(errors_, time) : *plan_;
 }
 
 Result<SeenLight> project_seen(const Environment& environment) {
@@ -368,6 +357,31 @@ void make_estimate(const ShProjection& projection, int bands, std::span<const Di
 
 Result<LightEstimate> estimate_map(const Image<Rgb>& map, const EstimateOptions& options) {
   return LightEstimator(options).estimate({map, {}, {}, 0, 0});
+}
+
+bool LightEstimate::is_affordable(std::size_t light) const {
+  return !plan || light < static_cast<std::size_t>(plan->lights) || lights[light].id == kUnseenSun;
+}
+
+void keep_affordable(LightEstimate& e) {
+  RadianceSh upper_moments(e.upper_hemisphere_light.bands());
+  std::size_t kept = 0;
+  for (std::size_t i = 0; i < e.lights.size(); ++i) {
+    if (e.is_affordable(i)) {
+      if (kept != i) e.lights[kept] = std::move(e.lights[i]);
+      ++kept;
+      continue;
+    }
+    const RadianceSh whole = project_distant_light(e.lights[i], e.light.bands()),
+                     upper = project_upper_distant_light(e.lights[i], upper_moments.bands());
+    for (int n = 0; n < e.light.size(); ++n) e.light[n] += whole[n];
+    for (int n = 0; n < upper_moments.size(); ++n) upper_moments[n] += upper[n];
+  }
+  if (kept == e.lights.size()) return;
+  e.truncation_error.reset();
+  e.lights.resize(kept);
+  upper_moments = upper_hemisphere_light(upper_moments, upper_moments.bands());
+  for (int n = 0; n < upper_moments.size(); ++n) e.upper_hemisphere_light[n] += upper_moments[n];
 }
 
 RadianceSh whole_light(const LightEstimate& e) {

@@ -50,8 +50,8 @@ class LightEstimator {
   /// From now on bands, lights and map step are the governor's choice, bands and lights within the
   /// options'; estimates carry the plan.
   void set_governor(const GovernorConfig& governor_config);
-  /// As Governor::allow_lights; nothing without a governor. With none the map is split only now and
-  /// then, for the prediction, unless something in it is clipped.
+  /// So many lights a frame has the time for: the plan has no more. The estimate still holds all
+  /// that the light needs, see keep_affordable(). Nothing without a governor.
   void allow_lights(int max_count);
   /// From now on estimates say what surfaces of these roughnesses mirror.
   /// size_factor: as of ReflectionFilter
@@ -78,15 +78,15 @@ class LightEstimator {
   Result<ShProjection> project_residual();
   void follow_holes(const Image<float>& confidence);
   Result<ShProjection> fill_holes(const Result<ShProjection>& moments) const;
-  Plan plan_for(const ShProjection& residual, TimestampNs time);
+  void plan_for(const ShProjection& residual, TimestampNs time);
   const Environment* in_blocks(const Environment& environment);
   void find_unseen_sun(const Environment& environment);
   Result<void> extract(const Environment& environment);
   void choose_max_lights();
-  Result<ShProjection> measure_whole(const Environment& environment);
-  Result<ShProjection> measure_split(const Environment& environment);
+  Result<ShProjection> measure(const Environment& environment);
+  void tell_uncertainty(bool lower_bound, LightEstimate& out) const;
   void cut_out(const DistantLight& light, Image<Rgb>& map) const;
-  void find_reflections(const Environment& whole_map, bool split, LightEstimate& out);
+  void find_reflections(const Environment& whole_map, LightEstimate& out);
 
   std::unique_ptr<class ShInpainting> inpainting_;  // of the newest map; null without holes
   EstimateOptions options_;
@@ -97,17 +97,14 @@ class LightEstimator {
   RecoveryMemory recoveries_;
   LightFilter filter_;
   std::optional<GovernorConfig> governor_config_;
-  std::optional<Governor> governor_;
+  std::optional<Governor> governor_, unhurried_;  // with the time of a frame, and with any
   ErrorTable errors_;
-  std::optional<Plan> plan_;
+  std::optional<Plan> plan_, unhurried_plan_;
   Environment in_blocks_;
   int map_rows_ = 0, max_map_step_ = 1;  // of the newest map, as it came
-  int maps_since_split_ = 0;
   bool looks_for_sun_ = true;
   std::optional<glm::dvec3> unseen_sun_;  // towards it; it stands above the horizon
   std::optional<TimestampNs> first_;      // map, to which the sun's time belongs
-  bool without_lights_ = false;           // the map before was measured whole
-  int maps_unclipped_ = 0;
   struct SizedProjector {
     int width = 0, height = 0;
     std::unique_ptr<LatLongProjector> projector;

@@ -187,6 +187,7 @@ class Governor {
   void allow_lights(int max_count) { affordable_lights_ = std::max(max_count, 0); }
   /// The plan, with what no camera sees of the floor's view of the sky counted in.
   Plan with_unseen(Plan plan, double unseen_above) const;
+  bool is_hurried() const { return affordable_lights_ < limits_.max_lights; }
   int max_lights() const { return std::min(limits_.max_lights, affordable_lights_); }
 
  private:

@@ -1,7 +1,10 @@
 #include <algorithm>
 #include <cmath>
 
+#include "core/conventions.h"
+#include "core/image.h"
 #include "lighting/light_filter.h"
+#include "lighting/sh/irradiance.h"
 #include "lighting/sh/projection.h"
 
 namespace penumbra::lighting {
@@ -48,6 +51,20 @@ void LightFilter::update(TimestampNs time, ShProjection& light) {
   known_ = true;
   if (new_time) remember(step_s);
   write(light);
+}
+
+std::optional<double> LightFilter::irradiance_noise() const {
+  if (noise_maps_ == 0) return std::nullopt;
+  const std::array<double, 3> weights = {luminance(Rgb{1, 0, 0}), luminance(Rgb{0, 1, 0}),
+                                         luminance(Rgb{0, 0, 1})};
+  double square = 0;  // over the sphere, as the harmonics are orthonormal
+  for (int l = 0; l < bands_; ++l)
+    for (int n = coefficient_count(l); n < coefficient_count(l + 1); ++n)
+      for (int c = 0; c < 3; ++c) {
+        const double factor = cosine_coefficient(l) * weights[at(c)];
+        square += factor * factor * values_[at(3 * n + c)].variance;
+      }
+  return std::sqrt(square / (4 * kPi));
 }
 
 void LightFilter::repeat(ShProjection& light) const {

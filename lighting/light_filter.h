@@ -4,6 +4,7 @@
 
 #include <array>
 #include <cstddef>
+#include <optional>
 
 #include "core/sh.h"
 #include "core/units.h"
@@ -27,6 +28,9 @@ class LightFilter {
   void update(TimestampNs time, ShProjection& light);
   /// Mean weight of the newest map in the estimate: 1 = as measured.
   double gain() const { return gain_; }
+  /// One standard deviation of the irradiance of the light as it was left, RMS over all normals;
+  /// nothing before the noise has been measured.
+  std::optional<double> irradiance_noise() const;
 
  private:
   static constexpr std::size_t kMaps = 4;    // that measure the noise

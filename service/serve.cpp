@@ -265,7 +265,7 @@ void Service::reload_scene() {
 
 void Service::publish(const runtime::Output& out, const capture::FrameSource& source,
                       const Pipeline& pipeline) {
-  state_.publish(out.light, out.source.time, out.pixels, out.overtaken);
+  state_.publish(out.source.time, out.pixels, out.overtaken);
   state_.publish_cameras(source.cameras(), source.counts());
   if (page_) page_->write(pipeline.objects(), out.source.time);
   publish_pose(out.source);
@@ -341,16 +341,12 @@ Result<void> Service::compose(capture::FrameSource& source, const std::atomic<bo
   runtime::Scene bare = rig_.scene;
   bare.objects.clear();
   PENUMBRA_ASSIGN(pipeline, Pipeline::create(source.cameras(), bare, options));
-  if (page_)
-    pipeline.watch_light([this](const Environment& map, const lighting::LightEstimate& light) {
-      page_->write(light);
-      page_->write(map);
-      state_.publish_environment(map);
-    });
-  else
-    pipeline.watch_light([this](const Environment& map, const lighting::LightEstimate&) {
-      state_.publish_environment(map);
-    });
+  pipeline.watch_light([this](const Environment& map, const lighting::LightEstimate& light) {
+    if (page_) page_->write(light);
+    if (page_) page_->write(map);
+    state_.publish_light(light);
+    state_.publish_environment(map);
+  });
   runtime::BakeSettings settings;
   settings.bands = config_.bands;
   const auto ready = [&](const runtime::Scene& scene,

@@ -99,6 +99,7 @@ TABLES = {
         "`/v1/light`": [f"{REPORT}: json to_json(const lighting::LightEstimate& + "
                         f"{HTTP}: json light_json(",
                         f"{REPORT}: json to_json(const lighting::DistantLight&",
+                        f"{REPORT}: json to_json(const lighting::LightUncertainty&",
                         f"{REPORT}: json to_json(const lighting::Plan&"],
         "`/v1/objects`": ["service/scene/scene_control.cpp: kChangeKeys[]",
                           "service/scene/scene_control.cpp: kNewKeys[]"],

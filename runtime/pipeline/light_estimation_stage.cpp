@@ -293,6 +293,7 @@ Result<void> LightEstimationStage::estimate(lighting::LightEstimate& out) {
     PENUMBRA_TRY(estimator_.estimate(environment, out));
   }
   if (out.plan && awaits_shorter_) out.plan->lower_bound = true, out.plan->within_budget = false;
+  if (awaits_shorter_) out.uncertainty.total.reset();
   warn_once(out);
   return {};
 }

@@ -130,7 +130,8 @@ class Pipeline {
   Result<void> set_max_shadow_error(double error);
   double max_shadow_error() const;
   /// Is given each light of a live run and the map that it comes from, on the light's own thread,
-  /// which waits for it. Set before the run.
+  /// which waits for it. The light holds all that it needs, also where frames have the time for
+  /// fewer lights (lighting::keep_affordable). Set before the run.
   using LightWatch = std::function<void(const Environment&, const lighting::LightEstimate&)>;
   void watch_light(LightWatch watch);
   /// Is called during a live run on its own thread at least twice a second, also while no frame

@@ -3,6 +3,7 @@
 #pragma once
 
 #include <nlohmann/json.hpp>
+#include <optional>
 #include <string>
 
 #include "core/image.h"
@@ -71,6 +72,13 @@ inline nlohmann::json to_json(const lighting::Plan& p) {
           {"why", reason_of(p)}};
 }
 
+inline nlohmann::json to_json(const lighting::LightUncertainty& u) {
+  const auto known = [](const std::optional<double>& v) {
+    return v ? nlohmann::json(*v) : nlohmann::json();
+  };
+  return {{"irradiance", known(u.total)}, {"noise", known(u.noise)}, {"unseen", u.unseen}};
+}
+
 /// The whole light in harmonics, and beside it the split for engines with lights of their own:
 /// `residual` plus `lights` is all.
 inline nlohmann::json to_json(const lighting::LightEstimate& e) {
@@ -88,6 +96,7 @@ inline nlohmann::json to_json(const lighting::LightEstimate& e) {
           {"clipped_fraction", e.clipped_fraction},
           {"truncation_error",
            e.truncation_error ? nlohmann::json(*e.truncation_error) : nlohmann::json()},
+          {"uncertainty", to_json(e.uncertainty)},
           {"plan", e.plan ? to_json(*e.plan) : nlohmann::json()}};
 }
 

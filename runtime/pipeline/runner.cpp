@@ -332,13 +332,19 @@ void measure(Live& live, LightEstimationStage& light, const LiveChanges& changes
   try {
     // Until the bracket is whole, or nothing more comes
     std::optional<lighting::LightEstimate> held;
+    const auto hand_on = [&](lighting::LightEstimate estimate) {
+      if (changes.on_light) {
+        const SpendingOn other(ProcessorUse::kOther);
+        changes.on_light(light, estimate);
+      }
+      lighting::keep_affordable(estimate);
+      live.light.put(std::move(estimate));
+    };
     while (true) {
       auto frame = live.environment.wait(Seconds(.5));
       if (!frame) {
-        if (held && light.settle(LightEstimationStage::kNoMore, *held)) {
-          if (changes.on_light) changes.on_light(light, *held);
-          live.light.put(*std::exchange(held, std::nullopt));
-        }
+        if (held && light.settle(LightEstimationStage::kNoMore, *held))
+          hand_on(*std::exchange(held, std::nullopt));
         if (live.environment.closed()) return;
         continue;
       }
@@ -352,11 +358,7 @@ void measure(Live& live, LightEstimationStage& light, const LiveChanges& changes
       auto estimate = light.process(*frame);
       if (estimate) {
         held.reset();
-        if (changes.on_light) {
-          const SpendingOn other(ProcessorUse::kOther);
-          changes.on_light(light, *estimate);
-        }
-        light.ready() ? live.light.put(std::move(*estimate)) : void(held = std::move(*estimate));
+        light.ready() ? hand_on(std::move(*estimate)) : void(held = std::move(*estimate));
       } else if (is_ordinary(estimate.error())) {
         const std::scoped_lock lock(live.mutex);
         ++live.unusable;

@@ -25,7 +25,8 @@ struct LiveChanges {
   // the stage before has been handed out by then.
   std::function<bool()> stage_waits;
   std::function<CompositeStage*()> take_stage;  // warm, keeping time; null: the one before goes on
-  // On the light's thread, before and after each environment frame
+  // On the light's thread, before and after each environment frame. The last is given the light
+  // once it is whole, with the lights as well that frames have no time for.
   std::function<std::optional<lighting::GovernorConfig>()> take_governor;
   std::function<std::optional<lighting::SurfaceRoughness>()> take_mirror{};
   std::function<void(const LightEstimationStage&, const lighting::LightEstimate&)> on_light;

@@ -100,6 +100,10 @@ void add_light(const PublishedState::Snapshot& s, std::optional<double> budget, 
           s.light.coverage);
   m.gauge("penumbra_light_clipped_ratio", "Part of the sphere that is saturated in every exposure.",
           s.light.clipped_fraction);
+  if (s.light.uncertainty.total)
+    m.gauge("penumbra_light_uncertainty_ratio",
+            "One standard deviation of the irradiance, relative to its mean.",
+            *s.light.uncertainty.total);
   m.gauge("penumbra_distant_lights", "Distant lights in the light.",
           static_cast<double>(s.light.lights.size()));
   if (!s.light.plan) return;

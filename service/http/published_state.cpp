@@ -18,12 +18,15 @@ void PublishedState::describe_source(std::vector<capture::CameraInfo> cameras, d
   state_.view_rate_hz = view_rate;
 }
 
-void PublishedState::publish(const lighting::LightEstimate& light, TimestampNs now,
-                             std::shared_ptr<const FramePixels> frame,
+void PublishedState::publish_light(const lighting::LightEstimate& light) {
+  const std::scoped_lock lock(mutex_);
+  state_.light = light;
+}
+
+void PublishedState::publish(TimestampNs now, std::shared_ptr<const FramePixels> frame,
                              const runtime::OvertakenFrames& overtaken) {
   {
     const std::scoped_lock lock(mutex_);
-    state_.light = light;
     state_.now = now;
     state_.frame = std::move(frame);
     ++state_.frames;

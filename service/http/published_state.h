@@ -29,8 +29,9 @@ class PublishedState {
   /// Of the source, once it is open. view_rate: frames a second that its view cameras send; 0:
   /// unknown
   void describe_source(std::vector<capture::CameraInfo> cameras, double view_rate);
-  void publish(const lighting::LightEstimate& light, TimestampNs now,
-               std::shared_ptr<const FramePixels> frame,
+  /// With all the lights that it needs, also those that frames have no time for.
+  void publish_light(const lighting::LightEstimate& light);
+  void publish(TimestampNs now, std::shared_ptr<const FramePixels> frame,
                const runtime::OvertakenFrames& overtaken = {});
   /// How far work on the scene has come, 0..1, by name; at 1 it is over.
   void publish_progress(const std::string& work, double done);

@@ -386,6 +386,9 @@ function showLight(light) {
   setText("age", light ? `${significant(light.age_s)} s${stale ? ", stale" : ""}` : "no light yet");
   $("age").classList.toggle("fault", stale);
   setText("coverage", light ? percent(light.coverage) : "–");
+  const uncertain = light?.uncertainty;
+  setText("uncertainty", !uncertain ? "–" : uncertain.irradiance === null ? "unknown, a light is a lower bound"
+    : `± ${percent(uncertain.irradiance)}`);
   setText("clipped", light ? percent(light.clipped_fraction) : "–");
   setText("mean", light ? light.mean_radiance.map(significant).join(" ") : "–");
   drawLights(light);

@@ -221,6 +221,8 @@ class LightEstimate(CliTest):
                 self.assert_close(value, radiance, 0.01 * radiance)
             self.assert_close(light["coverage"], 1, 1e-6)
             self.assertEqual(light["clipped_fraction"], 0)
+            self.assertIsNone(light["uncertainty"]["noise"], "of one map")
+            self.assert_close(light["uncertainty"]["irradiance"], 0, 1e-6)
             if bands == 9:
                 self.assertIsNone(light["truncation_error"], "nothing beyond is measured")
             else:
@@ -1117,7 +1119,7 @@ class Serve(CliTest):
         self.assertEqual((status, kind), (200, "application/json"))
         light = json.loads(body)
         self.assertLessEqual({"bands", "coefficients", "lights", "mean_radiance", "coverage", "clipped_fraction",
-                              "truncation_error", "time_ns", "age_s", "valid"}, set(light))
+                              "truncation_error", "uncertainty", "time_ns", "age_s", "valid"}, set(light))
         self.assertEqual((light["bands"], len(light["coefficients"]), light["valid"]), (2, 4, True))
         red, green, blue = light["coefficients"][0]
         self.assert_close(green / red, 0.5, 0.02)

@@ -101,6 +101,39 @@ TEST(LightFilter, NoiseOfAStaticLightFallsByTheGainsFactor) {
   }
 }
 
+double rms_irradiance(const RadianceSh& light) {
+  double square = 0;
+  for (int l = 0; l < light.bands(); ++l)
+    for (int n = coefficient_count(l); n < coefficient_count(l + 1); ++n)
+      square += std::pow(cosine_coefficient(l) * double(luminance(light[n])), 2);
+  return std::sqrt(square / (4 * kPi));
+}
+
+TEST(LightFilter, TellsTheNoiseOfTheIrradianceThatItLeaves) {
+  const ShProjection truth = turned(0);
+  for (const double noise : {.0005, .01, .2}) {
+    double error = 0, told = 0;
+    constexpr int kRuns = 40, kLongest = 40;
+    for (int run = 0; run < kRuns; ++run) {
+      std::mt19937 rng(static_cast<unsigned>(run));
+      LightFilter filter;
+      EXPECT_FALSE(filter.irradiance_noise());
+      ShProjection last;
+      for (int i = 0; i < kLongest; ++i)
+        last = filtered(filter, i * kFilterMapNs, with_noise(truth, noise, rng));
+      for (int n = 0; n < last.light.size(); ++n) last.light[n] += -1.f * truth.light[n];
+      error += std::pow(rms_irradiance(last.light), 2) / kRuns;
+      ASSERT_TRUE(filter.irradiance_noise());
+      told += std::pow(*filter.irradiance_noise(), 2) / kRuns;
+    }
+    std::printf("noise %g: irradiance off by %.3g, told %.3g\n", noise, std::sqrt(error),
+                std::sqrt(told));
+    // The filter expects the light to drift a little, which this one does not.
+    EXPECT_GT(told, error) << noise;
+    EXPECT_LT(told, 1.6 * 1.6 * error) << noise;
+  }
+}
+
 TEST(LightFilter, EachCoefficientHasItsOwnNoise) {
   // The even part trembles a hundred times as much as the rest: the rest must not be kept from it.
   std::mt19937 rng(2);

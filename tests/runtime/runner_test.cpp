@@ -301,6 +301,12 @@ TEST(Live, LightsThatAFrameHasNoTimeForAreGivenUp) {
   const auto end = std::chrono::steady_clock::now() + std::chrono::seconds(30);
   bool traced = false, given_up = false;
   std::atomic<bool> stop = false;
+  // For who lights other things by it the light keeps them.
+  std::atomic<int> least_published = 64;
+  LiveChanges changes;
+  changes.on_light = [&](const LightEstimationStage&, const lighting::LightEstimate& light) {
+    least_published = std::min(least_published.load(), static_cast<int>(light.lights.size()));
+  };
   const auto counts = run_live(
       studio, *s.light, **s.compose,
       [&](const Output& out) {
@@ -308,10 +314,11 @@ TEST(Live, LightsThatAFrameHasNoTimeForAreGivenUp) {
         given_up = out.light.plan && out.light.plan->time_limited && out.light.lights.empty();
         return !given_up && std::chrono::steady_clock::now() < end;
       },
-      s.times, stop);
+      s.times, stop, changes);
   ASSERT_TRUE(counts) << counts.error().detail;
   EXPECT_TRUE(traced) << "the map needs distant lights";
   EXPECT_TRUE(given_up);
+  EXPECT_GT(least_published, 0);
 }
 
 TEST(Live, StopsAtAnyMomentAndJoinsItsThreads) {

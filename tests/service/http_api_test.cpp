@@ -214,7 +214,7 @@ TEST(HttpApi, HealthTellsWhatBecameOfEachCamerasFrames) {
   std::vector<capture::CameraInfo> cameras(2);
   cameras[0].name = "sky", cameras[1].name = "view";
   state.publish_cameras(cameras, {sky, view});
-  state.publish({}, {1}, nullptr, {5, 6});
+  state.publish({1}, nullptr, {5, 6});
   const auto response = s.client->Get("/healthz");
   ASSERT_TRUE(response);
   const auto body = nlohmann::json::parse(response->body);
@@ -468,7 +468,8 @@ TEST(PublishedState, HandsOutTheNewest) {
   light.valid = true;
   for (std::int64_t i = 1; i <= 3; ++i) {
     const auto frame = std::make_shared<const FramePixels>(Image<Rgb>(4, 2));
-    state.publish(light, {i}, frame);
+    state.publish_light(light);
+    state.publish({i}, frame);
     const auto s = state.snapshot();
     EXPECT_EQ(s.now.value, i);
     EXPECT_EQ(s.frame, frame);
@@ -489,7 +490,8 @@ void publish_something(PublishedState& state) {
   state.publish_environment(room);
   Image<Rgb8> grey(32, 16);
   for (Rgb8& p : grey.pixels()) p = {100, 120, 140};
-  state.publish(light, {1'000'000}, std::make_shared<const FramePixels>(grey));
+  state.publish_light(light);
+  state.publish({1'000'000}, std::make_shared<const FramePixels>(grey));
 }
 
 TEST(HttpApi, PicturesAndMapsComeInTheFormatsThatAreAskedFor) {

@@ -141,7 +141,8 @@ TEST(UnpluggedCamera, ItsLightIsToldStaleAndFreshAgainWhenItIsBack) {
       [&](const Output& out) {
         // Before the picture, whose news the client may read at once.
         state.publish_cameras((*rig)->cameras(), (*rig)->counts());
-        state.publish(out.light, out.source.time, out.pixels);
+        state.publish_light(out.light);
+        state.publish(out.source.time, out.pixels);
         while_stale += (out.source.time - out.light.time).count() > kStaleAfter_s;
         return true;
       },

@@ -43,6 +43,7 @@ Result<void> light_estimate(const LightEstimateOptions& o) {
     nlohmann::json out = runtime::to_json(estimate), parts = runtime::to_json(split);
     out["lights"] = parts["lights"];
     out["residual"] = parts["residual"];
+    out["uncertainty"] = parts["uncertainty"];
     out["clipped_fraction"] = map.clipped_fraction;
     out["projection"] = calib::projection_name(light.file.projection.kind);
     out["non_finite"] = light.file.non_finite;
@@ -50,11 +51,14 @@ Result<void> light_estimate(const LightEstimateOptions& o) {
     return {};
   }
   fmt::print(
-      "{}: {}, {} bands, mean radiance {:.4g} {:.4g} {:.4g}, coverage {:.1f} %, truncation error "
-      "{}\n",
+      "{}: {}, {} bands, mean radiance {:.4g} {:.4g} {:.4g}, coverage {:.1f} %, irradiance "
+      "uncertain "
+      "by {}, truncation error {}\n",
       o.environment, calib::projection_name(light.file.projection.kind), bands,
       estimate.mean_radiance.r, estimate.mean_radiance.g, estimate.mean_radiance.b,
       100 * estimate.coverage,
+      split.uncertainty.total ? fmt::format("{:.1f} %", 100 * *split.uncertainty.total)
+                              : "more than is known",
       estimate.truncation_error ? fmt::format("{:.2f} %", 100 * *estimate.truncation_error)
                                 : "unknown (nothing beyond is measured)");
   for (int l = 0; l < bands; ++l)
