@@ -368,7 +368,7 @@ void keep_affordable(LightEstimate& e) {
   std::size_t kept = 0;
   for (std::size_t i = 0; i < e.lights.size(); ++i) {
     if (e.is_affordable(i)) {
-      if (kept != i) e.lights[kept] = std::move(e.lights[i]);
+      if (kept != i) e.lights[kept] = e.lights[i];
       ++kept;
       continue;
     }

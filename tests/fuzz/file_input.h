@@ -13,12 +13,13 @@
 
 namespace penumbra::test {
 
-/// One file a process, written anew each time.
+/// One file a process and suffix, written anew each time.
 inline std::filesystem::path as_file(std::span<const std::uint8_t> bytes,
                                      const std::string& suffix) {
-  static const std::filesystem::path path =
-      std::filesystem::temp_directory_path() /
-      ("penumbra_fuzz_" + std::to_string(::getpid()) + suffix);
+  static const std::string start =
+      (std::filesystem::temp_directory_path() / "penumbra_fuzz_").string() +
+      std::to_string(::getpid());
+  const std::filesystem::path path = start + suffix;
   std::ofstream(path, std::ios::binary)
       .write(reinterpret_cast<const char*>(bytes.data()), std::ssize(bytes));
   return path;
