@@ -303,8 +303,10 @@ TEST(Live, LightsThatAFrameHasNoTimeForAreGivenUp) {
   std::atomic<bool> stop = false;
   // For who lights other things by it the light keeps them.
   std::atomic<int> least_published = 64;
+  std::atomic<bool> published_whole = true;
   LiveChanges changes;
-  changes.on_light = [&](const LightEstimationStage&, const lighting::LightEstimate& light) {
+  changes.on_light = [&](const LightEstimationStage& stage, const lighting::LightEstimate& light) {
+    if (!stage.ready()) published_whole = false;
     least_published = std::min(least_published.load(), static_cast<int>(light.lights.size()));
   };
   const auto counts = run_live(
@@ -319,6 +321,7 @@ TEST(Live, LightsThatAFrameHasNoTimeForAreGivenUp) {
   EXPECT_TRUE(traced) << "the map needs distant lights";
   EXPECT_TRUE(given_up);
   EXPECT_GT(least_published, 0);
+  EXPECT_TRUE(published_whole) << "the light of half a bracket is too dim";
 }
 
 TEST(Live, StopsAtAnyMomentAndJoinsItsThreads) {
